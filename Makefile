@@ -1,6 +1,9 @@
 # `make test` runs every test; `.ci/run` calls it. Each part can run alone. `make quick` runs the fast tests.
 PYTHON ?= python3
 VENV := .venv
+# Windows has other names for the programs of a virtual environment.
+BIN := $(if $(filter Windows_NT,$(OS)),Scripts,bin)
+EXE := $(if $(filter Windows_NT,$(OS)),.exe)
 SOLVERS := .venv-solvers
 
 # The targets of `make fuzz`, and the time for each in seconds.
@@ -9,7 +12,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel installed python python-all rllib page docs links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel musl-wheel installed python python-all rllib page docs links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -46,38 +49,45 @@ doc:
 WHEELS := target/wheels
 WHEEL_PROFILE := release
 WHEEL_OPTIONS :=
-MATURIN := $(VENV)/bin/maturin
+MATURIN := $(VENV)/$(BIN)/maturin$(EXE)
 wheel: $(filter $(VENV)/%,$(MATURIN))
 	rm -rf $(WHEELS)
 	$(MATURIN) build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS) \
 	    $(WHEEL_OPTIONS)
 
+# Not part of `make test`. Installs the wheel for musl into Alpine Linux and runs an example there. Needs Docker.
+ALPINE := docker.io/library/python:3.12-alpine
+musl-wheel:
+	docker run --rm --volume "$(CURDIR):/logicity:ro" --workdir /tmp $(ALPINE) sh -c \
+	    'pip install /logicity/$(WHEELS)/*musllinux*.whl && python /logicity/python/examples/incremental.py'
+
 # Installs the wheel into a virtual environment.
 installed: wheel
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
 
 # Tests the installed package, and runs the blocks of the documentation; `test_wheel.py` installs the wheel into an empty
 # environment.
 python: installed
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test]"
-	$(VENV)/bin/ruff check python
-	$(VENV)/bin/ruff format --check python
-	$(VENV)/bin/ruff check --config python/pyproject.toml tests/fuzz
-	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/fuzz
-	cd python && ../$(VENV)/bin/lint-imports --no-logo --no-cache
-	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples tests/fuzz
-	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
+	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test]"
+	$(VENV)/$(BIN)/ruff check python
+	$(VENV)/$(BIN)/ruff format --check python
+	$(VENV)/$(BIN)/ruff check --config python/pyproject.toml tests/fuzz
+	$(VENV)/$(BIN)/ruff format --config python/pyproject.toml --check tests/fuzz
+	cd python && ../$(VENV)/$(BIN)/lint-imports --no-logo --no-cache
+	$(VENV)/$(BIN)/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples tests/fuzz
+	$(VENV)/$(BIN)/mypy --strict --platform win32 --config-file python/pyproject.toml python/logicity
+	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/$(BIN)/python -m pytest -q python/tests
 
 # Builds the site into target/docs; warnings and broken links are errors. The build itself reads no network. The site
 # contains the playground and the documentation of the crate if `make playground` and `make doc` have built them.
 SITE := target/docs
 docs: installed
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
-	$(VENV)/bin/ruff check --config python/pyproject.toml docs benches/record.py
-	$(VENV)/bin/ruff format --config python/pyproject.toml --check docs benches/record.py
-	MYPYPATH=docs $(VENV)/bin/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py benches/record.py
-	$(VENV)/bin/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
-	$(VENV)/bin/python docs/links.py $(SITE)
+	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
+	$(VENV)/$(BIN)/ruff check --config python/pyproject.toml docs benches/record.py
+	$(VENV)/$(BIN)/ruff format --config python/pyproject.toml --check docs benches/record.py
+	MYPYPATH=docs $(VENV)/$(BIN)/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py benches/record.py
+	$(VENV)/$(BIN)/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
+	$(VENV)/$(BIN)/python docs/links.py $(SITE)
 
 # Requests every address of another site that the documents name. Reads the network.
 links:
@@ -87,12 +97,12 @@ links:
 PROGRAM := cargo test --quiet --locked --test program --no-run
 
 # Tests the page of a run in headless Chromium. Without a browser, the last line prints what it skips and exits with 0.
-page: $(VENV)/bin/python
+page: $(VENV)/$(BIN)/python$(EXE)
 	$(PROGRAM)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
-	$(VENV)/bin/ruff check --config python/pyproject.toml tests/page_in_browser.py
-	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
-	$(VENV)/bin/python tests/page_in_browser.py
+	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check pytest ruff selenium
+	$(VENV)/$(BIN)/ruff check --config python/pyproject.toml tests/page_in_browser.py
+	$(VENV)/$(BIN)/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
+	$(VENV)/$(BIN)/python tests/page_in_browser.py
 
 # Not part of `make test`. Builds target/playground, prints its size, and tests it in headless Chromium. Needs
 # `rustup target add wasm32-unknown-unknown`.
@@ -104,12 +114,12 @@ WASM := target/wasm32-unknown-unknown/playground/logicity_playground.wasm
 WASM_BINDGEN_VERSION = $(shell sed -n 's/^wasm-bindgen = "=\(.*\)"/\1/p' docs/playground/Cargo.toml)
 WASM_BINDGEN = target/tools/wasm-bindgen-$(WASM_BINDGEN_VERSION)
 VIEWER := elements data run ground roster map agent viewer
-playground: $(PLAYGROUND) $(VENV)/bin/python
+playground: $(PLAYGROUND) $(VENV)/$(BIN)/python$(EXE)
 	$(PROGRAM)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
-	$(VENV)/bin/ruff check --config python/pyproject.toml tests/playground_in_browser.py
-	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/playground_in_browser.py
-	$(VENV)/bin/python tests/playground_in_browser.py
+	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check pytest ruff selenium
+	$(VENV)/$(BIN)/ruff check --config python/pyproject.toml tests/playground_in_browser.py
+	$(VENV)/$(BIN)/ruff format --config python/pyproject.toml --check tests/playground_in_browser.py
+	$(VENV)/$(BIN)/python tests/playground_in_browser.py
 
 # Cargo decides what to compile, so the folder is always made anew.
 .PHONY: $(PLAYGROUND)
@@ -133,36 +143,36 @@ vscode:
 	cd $(VSCODE) && npm ci --no-audit --no-fund --ignore-scripts && npm run check && npm run package
 
 # `make python` skips the tests with Stable-Baselines3, since it depends on torch, which takes some gigabytes.
-python-all: wheel $(VENV)-all/bin/python
-	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
-	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test-all]"
-	$(VENV)-all/bin/python -m pytest -q python/tests
+python-all: wheel $(VENV)-all/$(BIN)/python$(EXE)
+	$(VENV)-all/$(BIN)/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	$(VENV)-all/$(BIN)/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test-all]"
+	$(VENV)-all/$(BIN)/python -m pytest -q python/tests
 
 # Not part of `make test`. Tests the environments with RLlib and the version of gymnasium that it pins.
-rllib: wheel $(VENV)-rllib/bin/python
-	$(VENV)-rllib/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
-	$(VENV)-rllib/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[rllib,test]"
-	$(VENV)-rllib/bin/python -m pytest -q $(RLLIB_TESTS:%=python/tests/test_%.py)
+rllib: wheel $(VENV)-rllib/$(BIN)/python$(EXE)
+	$(VENV)-rllib/$(BIN)/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	$(VENV)-rllib/$(BIN)/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[rllib,test]"
+	$(VENV)-rllib/$(BIN)/python -m pytest -q $(RLLIB_TESTS:%=python/tests/test_%.py)
 
 RLLIB_TESTS := rllib wrappers
 
-$(VENV)/bin/python $(VENV)-all/bin/python $(VENV)-rllib/bin/python: %/bin/python:
+$(VENV)/$(BIN)/python$(EXE) $(VENV)-all/$(BIN)/python$(EXE) $(VENV)-rllib/$(BIN)/python$(EXE): %/$(BIN)/python$(EXE):
 	$(PYTHON) -m venv $* || { echo "on Debian: apt-get install python3-venv"; exit 1; }
 
 # Not part of `make test`. The source distribution of the Python package.
 sdist: $(filter $(VENV)/%,$(MATURIN))
 	$(MATURIN) sdist --manifest-path python/Cargo.toml --out $(WHEELS)
 
-$(VENV)/bin/maturin: $(VENV)/bin/python
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
+$(VENV)/$(BIN)/maturin$(EXE): $(VENV)/$(BIN)/python$(EXE)
+	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
 
 # Lints the Python code and checks its format, as `make python` does.
-ruff: $(VENV)/bin/ruff
-	$(VENV)/bin/ruff check python
-	$(VENV)/bin/ruff format --check python
+ruff: $(VENV)/$(BIN)/ruff$(EXE)
+	$(VENV)/$(BIN)/ruff check python
+	$(VENV)/$(BIN)/ruff format --check python
 
-$(VENV)/bin/ruff: $(VENV)/bin/python
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'ruff>=0.6'
+$(VENV)/$(BIN)/ruff$(EXE): $(VENV)/$(BIN)/python$(EXE)
+	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check 'ruff>=0.6'
 
 # Not part of `make test`. Checks licenses and sources of the dependencies of all workspaces against deny.toml. Needs
 # `cargo install --locked cargo-deny`.
@@ -201,7 +211,7 @@ binary:
 	cargo cyclonedx --format json --target $(SYSTEM) --override-filename logicity.cdx
 	rm python/logicity.cdx.json src/datalog/logicity.cdx.json
 	mv logicity.cdx.json target/dist/logicity-$(SYSTEM)
-	cp target/release/logicity$(if $(filter Windows_NT,$(OS)),.exe) README.md CHANGELOG.md LICENSE \
+	cp target/release/logicity$(EXE) README.md CHANGELOG.md LICENSE \
 	    target/dist/logicity-$(SYSTEM)
 	tar -C target/dist -czf target/dist/logicity-$(SYSTEM).tar.gz logicity-$(SYSTEM)
 
@@ -234,16 +244,16 @@ bench-record:
 # Not part of `make test`. Compares logicity with z3 and clingo. SOLVERS_OPTIONS are options of benches/solvers/compare.py.
 solvers: $(SOLVERS)/installed
 	cargo build --release --locked
-	$(SOLVERS)/bin/python benches/solvers/compare.py $(SOLVERS_OPTIONS)
+	$(SOLVERS)/$(BIN)/python benches/solvers/compare.py $(SOLVERS_OPTIONS)
 
 # Not part of `make test`. Compares exact probabilities with ProbLog.
 solvers-marginals: $(SOLVERS)/installed
 	cargo build --release --locked
-	$(SOLVERS)/bin/python benches/solvers/marginals.py $(SOLVERS_OPTIONS)
+	$(SOLVERS)/$(BIN)/python benches/solvers/marginals.py $(SOLVERS_OPTIONS)
 
 $(SOLVERS)/installed: benches/solvers/requirements.txt
 	$(PYTHON) -m venv $(SOLVERS) || { echo "on Debian: apt-get install python3-venv"; exit 1; }
-	$(SOLVERS)/bin/pip install --quiet --disable-pip-version-check -r $< || \
+	$(SOLVERS)/$(BIN)/pip install --quiet --disable-pip-version-check -r $< || \
 	    { echo "cannot install the packages in $<: this needs Python 3.10 or later and a package index with wheels for this machine"; exit 1; }
 	touch $@
 

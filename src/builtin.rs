@@ -2,7 +2,7 @@
 // Decision: docs/decisions/safety.md#d069
 
 use std::ffi::OsStr;
-use std::path::Path;
+use std::path::{MAIN_SEPARATOR, Path};
 
 use include_dir::{Dir, include_dir};
 
@@ -80,9 +80,9 @@ impl ReadFile for BuiltinFiles {
         let Ok(inside) = path.strip_prefix(BUILTIN_FOLDER) else {
             return read_text(path);
         };
-        let found = inside
-            .to_str()
-            .and_then(|inside| text(inside).or_else(|| text(&format!("rules/{inside}"))));
+        // On Windows, callers may also write `\`.
+        let inside = inside.to_str().map(|inside| inside.replace(MAIN_SEPARATOR, "/"));
+        let found = inside.and_then(|inside| text(&inside).or_else(|| text(&format!("rules/{inside}"))));
         found.map(str::to_owned).ok_or(ReadError::NotFound)
     }
 

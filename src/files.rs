@@ -16,7 +16,7 @@ mod record;
 #[cfg(feature = "parquet")]
 pub use folder::{FileError, Folder, make_folder};
 pub use journal::Journal;
-pub use logicity_datalog::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize, to_text};
+pub use logicity_datalog::files::{BUILTIN_FOLDER, ReadError, ReadFile, builtin_path, normalize, slash_help, to_text};
 pub use output::{Output, Overwrite, end, remove_own, without_temporaries};
 
 /// The maximum size of an input file that is read as a whole: 1 GiB. [`limit_reads`] can lower it.
@@ -92,6 +92,10 @@ pub fn open_regular(path: &Path) -> Result<std::fs::File, ReadError> {
         false => Err(ReadError::Io("it is a pipe or a device, not a regular file".into())),
     }
 }
+
+/// The error of Windows for a file that another process has opened and does not share.
+#[cfg(windows)]
+const ERROR_SHARING_VIOLATION: i32 = 32;
 
 /// The folders of the files that the kernel generates. They claim to be regular, but reading one may never end
 /// (`/proc/kmsg`) or change the system.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import os
 import shutil
 import signal
@@ -43,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and not stream.closed:
             stream.flush()
+            # A pipe or a file has the encoding and the line breaks of Rust, too.
+            if sys.platform == "win32" and isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(encoding="utf-8", newline="\n")
     # Rust handles the signals by itself.
     with kept_handlers(signal.SIGINT) as kept:
         # Python runs its handler of Ctrl-C only between bytecode instructions. An ignored signal stays ignored.

@@ -199,7 +199,7 @@ def distill(
     files = _city(words, chosen, learned, folder)
     with tempfile.TemporaryDirectory() as place_of:
         for name, text in files.items():
-            Path(place_of, name).write_text(text, encoding="utf-8")
+            Path(place_of, name).write_text(text, encoding="utf-8", newline="\n")
         measured = _Measured(words, chosen, learned, placement, examples, Path(place_of), folder, progress)
     rules = _rules(words, learned, measured, chosen, source)
     report = _report(words, chosen, learned, measured, placement, left_out, recording, grid, source)
@@ -368,9 +368,11 @@ def _learn(train: Sequence[_Example], words: _Words, settings: Settings) -> dict
         "agents": {"test": {"cars": [{"priority": 1}]}},
     }
     with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "words.dl").write_text("\n".join(rules), encoding="utf-8")
-        Path(folder, "words.yaml").write_text(json.dumps(config), encoding="utf-8")
-        Path(folder, "train.jsonl").write_text("".join(each.line + "\n" for each in train), encoding="utf-8")
+        Path(folder, "words.dl").write_text("\n".join(rules), encoding="utf-8", newline="\n")
+        Path(folder, "words.yaml").write_text(json.dumps(config), encoding="utf-8", newline="\n")
+        Path(folder, "train.jsonl").write_text(
+            "".join(each.line + "\n" for each in train), encoding="utf-8", newline="\n"
+        )
         arguments = ["induce", "train.jsonl", "--config", "words.yaml", "-o", "learned.dl", "--report", "report.json"]
         arguments += ["--noise", str(settings.noise), "--variables", str(settings.variables)]
         arguments += ["--seed", str(settings.seed)]
@@ -482,7 +484,7 @@ class _Measured:
         text = (city / "rules.dl").read_text(encoding="utf-8")
         for number, clause in enumerate(clauses):
             text += f".decl Clause{number}(x: agent)\nClause{number}{clause[clause.index('(') :]}\n"
-        (city / "counted.dl").write_text(text, encoding="utf-8")
+        (city / "counted.dl").write_text(text, encoding="utf-8", newline="\n")
         limits = (None, None, None)
         config = settings.config
         # The words of the configuration are at its place.
@@ -490,7 +492,7 @@ class _Measured:
             base = os.path.abspath(config)
             lines = (city / "city.yaml").read_text(encoding="utf-8").splitlines()
             lines = [f"base: {json.dumps(base)}" if line.startswith("base:") else line for line in lines]
-            (city / "city.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+            (city / "city.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
         rules = str(city / "counted.dl")
         inference = _logicity.Inference(str(city / "city.yaml"), rules, settings.seed, "auto", limits, None)
         names = [f"Clause{number}" for number in range(len(clauses))]

@@ -105,7 +105,8 @@ def json_text(value: Any) -> str:
 def write_text(path: str | os.PathLike[str], text: str, *, by: str | None = None, overwrite: bool = False) -> None:
     """Write text to a file, in UTF-8, as `reserved` permits."""
     with reserved(path, by=by, overwrite=overwrite) as output:
-        Path(output.temporary).write_text(text, encoding="utf-8")
+        # The same bytes on every system.
+        Path(output.temporary).write_text(text, encoding="utf-8", newline="\n")
         output.finish()
 
 

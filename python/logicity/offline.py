@@ -304,7 +304,9 @@ def _write_folder(folder: Path, files: Mapping[str, Sequence[str]], overwrite: b
     with ExitStack() as stack:
         outputs = [stack.enter_context(reserved(folder / name, by="to_popper", overwrite=overwrite)) for name in files]
         for output, lines in zip(outputs, files.values(), strict=True):
-            Path(output.temporary).write_text("".join(f"{line}\n" for line in sorted(lines)), encoding="utf-8")
+            Path(output.temporary).write_text(
+                "".join(f"{line}\n" for line in sorted(lines)), encoding="utf-8", newline="\n"
+            )
         for output in outputs:
             output.finish()
     return folder

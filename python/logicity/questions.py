@@ -767,7 +767,7 @@ def ask(
     """
     known = {question.id for question in questions}
     # The reservation keeps other processes from the file; it writes nothing.
-    with reserved(path, by=None), _without_torn_line(Path(path)).open("a", encoding="utf-8") as file:
+    with reserved(path, by=None), _without_torn_line(Path(path)).open("a", encoding="utf-8", newline="\n") as file:
         for place, line in _lines(path):
             name, model = line["id"], line.get("model")
             if name not in known or model != endpoint.model:

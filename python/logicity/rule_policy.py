@@ -83,7 +83,7 @@ class RulePolicy:
         """
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rules.dl"
-            path.write_text(text, encoding="utf-8")
+            path.write_text(text, encoding="utf-8", newline="\n")
             return cls(path, mode, overrides=overrides, limits=limits)
 
     def __repr__(self) -> str:

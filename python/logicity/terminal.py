@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import sys
@@ -59,6 +60,9 @@ def _writing() -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
+        # So Windows reports that the reader has closed the pipe.
+        if sys.platform == "win32" and error.errno == errno.EINVAL:
+            raise BrokenPipeError from None
         # Python writes the rest at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise OSError(f"cannot write to standard output: {(error.strerror or str(error)).lower()}") from None

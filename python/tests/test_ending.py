@@ -8,12 +8,14 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import needs, wait_for
 
 needs("stable_baselines3", "learn")
 
+from logicity.learn import programs  # noqa: E402
 from logicity.learn.programs import Running, run_program  # noqa: E402
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -119,7 +121,10 @@ def test_ignored_signals_stay_ignored(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (143, "continues\n")
 
 
-def test_programs_have_an_exit_code_and_their_output() -> None:
+# The second way is that of Windows.
+@pytest.mark.parametrize("read", [programs._Selected, programs._Threaded])
+def test_programs_have_an_exit_code_and_their_output(read: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(programs, "_READ", read)
     said = run_program([sys.executable, "-c", "import sys; print('out'); print('log', file=sys.stderr); sys.exit(3)"])
     assert said == (3, "out\n", "log\n")
     assert run_program([sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"]).code == 128 + 9

@@ -17,7 +17,7 @@
 use crate::config::codes;
 use crate::datalog::codes::INCLUDE_CYCLE;
 use crate::diag::{self, Diagnostic, SourceId, Sources, Span, similar_file, similar_file_in};
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, builtin_path, normalize, slash_help};
 use crate::located::Located;
 use crate::yaml;
 use crate::yaml::{Value, YamlNode};
@@ -266,9 +266,10 @@ impl<'a> Composer<'a> {
                     fault = fault
                         .note("a path is relative to the file that names it; there is no such built-in file either");
                     let help = node.missing_space();
-                    fault
-                        .help
-                        .extend(help.or_else(|| self.suggestion(&folder, reference, kind)));
+                    fault.help.extend(
+                        help.or_else(|| slash_help(reference))
+                            .or_else(|| self.suggestion(&folder, reference, kind)),
+                    );
                 }
                 self.faults.push(fault);
                 None
@@ -287,7 +288,7 @@ impl<'a> Composer<'a> {
         }
         for path in [normalize(path), normalize(written)] {
             let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(&path);
-            let builtin = Path::new(BUILTIN_FOLDER).join(inside);
+            let builtin = builtin_path(inside);
             // An absolute path would leave the folder.
             if inside.is_relative()
                 && let Ok(text) = self.read.read(&builtin)

@@ -1,7 +1,7 @@
 //! How sources include files: the caller reads them, the engine does no I/O.
 
 use std::io;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Component, MAIN_SEPARATOR, Path, PathBuf};
 
 /// The folder, as paths name it, that holds the built-in files and nothing else.
 pub const BUILTIN_FOLDER: &str = "<builtin>";
@@ -96,8 +96,8 @@ pub trait ReadFile {
     /// Why the file cannot be read.
     fn read_or_builtin(&self, path: &Path) -> Result<String, ReadError> {
         match self.read_named(path) {
-            Err(ReadError::NotFound) if self.builtin_paths().iter().any(|known| path.to_str() == Some(known)) => {
-                self.read(&Path::new(BUILTIN_FOLDER).join(path))
+            Err(ReadError::NotFound) if self.builtin_paths().iter().any(|known| path == Path::new(known)) => {
+                self.read(&builtin_path(path))
             }
             read => read,
         }
@@ -124,6 +124,39 @@ pub fn to_text(bytes: Vec<u8>) -> Result<String, ReadError> {
     })
 }
 
+/// Returns the path of a built-in file from its path inside of [`BUILTIN_FOLDER`]. An absolute path stays as it is.
+///
+/// ```
+/// use logicity_datalog::files::builtin_path;
+/// use std::path::Path;
+///
+/// assert_eq!(builtin_path("rules/hard.dl").to_str(), Some("<builtin>/rules/hard.dl"));
+/// ```
+pub fn builtin_path(inside: impl AsRef<Path>) -> PathBuf {
+    portable(Path::new(BUILTIN_FOLDER).join(inside))
+}
+
+/// Returns a path of a built-in file with `/` between its parts, so that traces and messages name it equally on every
+/// system. Other paths stay as they are.
+pub fn portable(path: PathBuf) -> PathBuf {
+    match path
+        .to_str()
+        .filter(|_| MAIN_SEPARATOR != '/' && path.starts_with(BUILTIN_FOLDER))
+    {
+        Some(text) => text.replace(MAIN_SEPARATOR, "/").into(),
+        None => path,
+    }
+}
+
+/// Returns the help for a missing file whose path has `\` between its parts, which only Windows understands.
+pub fn slash_help(path: &str) -> Option<String> {
+    let help = || {
+        let portable = path.replace('\\', "/");
+        format!("write `/` between the parts of a path, on every system: `{portable}`")
+    };
+    (MAIN_SEPARATOR == '/' && path.contains('\\')).then(help)
+}
+
 /// Returns the path without `.` and, where possible, without `..`, so that two names of one file compare equal. Does
 /// not access the disk.
 pub fn normalize(path: &Path) -> PathBuf {
@@ -137,5 +170,53 @@ pub fn normalize(path: &Path) -> PathBuf {
             component => out.push(component),
         }
     }
-    out
+    portable(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Paths of built-in files have `/` on every system. What is a separator depends on it.
+    #[test]
+    fn paths_of_builtin_files_are_portable() {
+        let inside: PathBuf = ["configs", "maps", "square.yaml"].iter().collect();
+        assert_eq!(
+            builtin_path(&inside).to_str(),
+            Some("<builtin>/configs/maps/square.yaml")
+        );
+        let climbing: PathBuf = ["configs", "..", "rules", ".", "hard.dl"].iter().collect();
+        assert_eq!(
+            normalize(&builtin_path(climbing)).to_str(),
+            Some("<builtin>/rules/hard.dl")
+        );
+        let own: PathBuf = ["my", "..", "city.yaml"].iter().collect();
+        assert_eq!(normalize(&own), Path::new("city.yaml"));
+        // Two spellings of one file compare equal.
+        assert_eq!(builtin_path(&inside), Path::new(BUILTIN_FOLDER).join(inside));
+    }
+
+    #[cfg(windows)]
+    #[test]
+    fn windows_has_drives_and_two_separators() {
+        assert_eq!(builtin_path(r"rules\hard.dl").to_str(), Some("<builtin>/rules/hard.dl"));
+        for absolute in [r"C:\rules\hard.dl", r"\\server\rules\hard.dl"] {
+            assert_eq!(builtin_path(absolute), Path::new(absolute));
+        }
+        assert_eq!(normalize(Path::new(r"C:\a\.\b/../c.dl")), Path::new(r"C:\a\c.dl"));
+        assert_eq!(slash_help(r"rules\hard.dl"), None);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn unix_has_one_separator() {
+        assert_eq!(
+            builtin_path(r"rules\hard.dl").to_str(),
+            Some(r"<builtin>/rules\hard.dl")
+        );
+        assert_eq!(builtin_path("/rules/hard.dl"), Path::new("/rules/hard.dl"));
+        let help = slash_help(r"rules\hard.dl").expect("Unix does not understand it");
+        assert!(help.ends_with("`rules/hard.dl`"), "{help}");
+        assert_eq!(slash_help("rules/hard.dl"), None);
+    }
 }

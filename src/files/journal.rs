@@ -1,7 +1,9 @@
 //! Files of lines that grow while a process works: a killed process loses no line that it has added.
 
 use crate::files::{folder_of, refuse_generated};
-use std::fs::{self, File, OpenOptions, TryLockError};
+#[cfg(not(windows))]
+use std::fs::TryLockError;
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -43,13 +45,7 @@ impl Journal {
             let message = format!("there is no folder `{}`", folder.display());
             return Err(io::Error::new(io::ErrorKind::NotFound, message));
         }
-        let mut file = OpenOptions::new().read(true).append(true).create(true).open(path)?;
-        match file.try_lock() {
-            Ok(()) | Err(TryLockError::Error(_)) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(io::Error::new(io::ErrorKind::ResourceBusy, "another process writes it"));
-            }
-        }
+        let mut file = open_alone(path)?;
         let end = end_of_lines(&mut file)?;
         Ok(Journal {
             file,
@@ -101,6 +97,7 @@ impl Journal {
             self.file.set_len(self.end)?;
         }
         let line = format!("{line}\n");
+        self.file.seek(SeekFrom::Start(self.end))?;
         self.file.write_all(line.as_bytes())?;
         self.end += line.len() as u64;
         Ok(())
@@ -111,6 +108,33 @@ impl Drop for Journal {
     fn drop(&mut self) {
         if self.is_new && self.file.metadata().is_ok_and(|found| found.len() == 0) {
             let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// Opens or creates a file that no other process has open as a journal.
+fn open_alone(path: &Path) -> io::Result<File> {
+    let busy = || io::Error::new(io::ErrorKind::ResourceBusy, "another process writes it");
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create(true).truncate(false);
+    #[cfg(windows)]
+    {
+        // A lock would also keep readers from the file.
+        use crate::files::ERROR_SHARING_VIOLATION;
+        use std::os::windows::fs::OpenOptionsExt;
+        const FILE_SHARE_READ_DELETE: u32 = 1 | 4;
+        let file = options.share_mode(FILE_SHARE_READ_DELETE).open(path);
+        file.map_err(|error| match error.raw_os_error() {
+            Some(ERROR_SHARING_VIOLATION) => busy(),
+            _ => error,
+        })
+    }
+    #[cfg(not(windows))]
+    {
+        let file = options.open(path)?;
+        match file.try_lock() {
+            Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
+            Err(TryLockError::WouldBlock) => Err(busy()),
         }
     }
 }

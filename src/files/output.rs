@@ -5,10 +5,14 @@
 //! finish: lock folder -> rename over the target -> record the result as own -> unlock
 //! ```
 //!
-//! A temporary file is locked while its process lives. So a second writer of the same file detects the first one, and
+//! A temporary file is locked, on Windows open, while its process lives. So a second writer of the same file detects the first one, and
 //! the leftovers of dead processes are removed. Standard output, other open descriptors and character devices are
 //! written directly.
 
+#[cfg(windows)]
+use crate::files::ERROR_SHARING_VIOLATION;
+#[cfg(windows)]
+use crate::files::record::RECORD;
 use crate::files::record::{Record, TEMPORARY, existing};
 use crate::files::{LINKS_MAX, descriptor, folder_of, record};
 use sha2::{Digest, Sha256};
@@ -352,7 +356,7 @@ impl Temporary {
         temporaries.insert(path.clone());
         drop(temporaries);
         let temporary = Temporary { path, file };
-        match temporary.file.try_lock() {
+        match hold(&temporary.file) {
             Ok(()) | Err(TryLockError::Error(_)) => Ok(temporary),
             Err(TryLockError::WouldBlock) => Err(io::ErrorKind::ResourceBusy.into()),
         }
@@ -428,21 +432,72 @@ fn name_of(path: &Path) -> io::Result<String> {
 /// Locks a folder until the result is dropped. Returns `None` where the file system has no locks, as on some network
 /// file systems: then two processes that begin at the same instant do not detect each other.
 fn lock(folder: &Path) -> io::Result<Option<File>> {
-    // Only Unix opens folders.
-    let Ok(handle) = File::open(folder) else {
-        return Ok(None);
-    };
     for _ in 0..LOCK_TRIES {
-        match handle.try_lock() {
-            Ok(()) => return Ok(Some(handle)),
+        match try_lock(folder) {
             Err(TryLockError::WouldBlock) => thread::sleep(LOCK_STEP),
-            Err(TryLockError::Error(_)) => return Ok(None),
+            lock => return Ok(lock.ok()),
         }
     }
     Err(io::Error::new(
         io::ErrorKind::ResourceBusy,
         format!("another process has locked the folder `{}`", folder.display()),
     ))
+}
+
+#[cfg(not(windows))]
+fn try_lock(folder: &Path) -> Result<File, TryLockError> {
+    let handle = File::open(folder).map_err(TryLockError::Error)?;
+    handle.try_lock().map(|()| handle)
+}
+
+/// Opens a file in the folder that no other process can open meanwhile. The system removes it when it is closed, however
+/// the process ends. A folder itself cannot be locked.
+#[cfg(windows)]
+fn try_lock(folder: &Path) -> Result<File, TryLockError> {
+    use std::os::windows::fs::OpenOptionsExt;
+    const FILE_FLAG_DELETE_ON_CLOSE: u32 = 0x0400_0000;
+    /// Another process is closing the file.
+    const ERROR_ACCESS_DENIED: i32 = 5;
+    let mut options = OpenOptions::new();
+    options.write(true).create(true);
+    options.share_mode(0).custom_flags(FILE_FLAG_DELETE_ON_CLOSE);
+    (options.open(folder.join(format!("{RECORD}.lock")))).map_err(|error| match error.raw_os_error() {
+        Some(ERROR_SHARING_VIOLATION | ERROR_ACCESS_DENIED) => TryLockError::WouldBlock,
+        _ => TryLockError::Error(error),
+    })
+}
+
+/// Marks a temporary file as being written until it is closed. `WouldBlock` if another process writes it.
+#[cfg(not(windows))]
+fn hold(temporary: &File) -> Result<(), TryLockError> {
+    temporary.try_lock()
+}
+
+/// An open file is marked already. A lock would keep writers from it that open its path.
+#[cfg(windows)]
+fn hold(_: &File) -> Result<(), TryLockError> {
+    Ok(())
+}
+
+/// Returns whether a process writes a temporary file.
+#[cfg(not(windows))]
+fn is_held(temporary: &Path) -> io::Result<bool> {
+    match File::open(temporary)?.try_lock() {
+        Ok(()) => Ok(false),
+        Err(TryLockError::WouldBlock) => Ok(true),
+        Err(TryLockError::Error(error)) => Err(error),
+    }
+}
+
+/// Returns whether a process has a temporary file open: then no other one can open it for itself alone.
+#[cfg(windows)]
+fn is_held(temporary: &Path) -> io::Result<bool> {
+    use std::os::windows::fs::OpenOptionsExt;
+    match OpenOptions::new().read(true).share_mode(0).open(temporary) {
+        Ok(_) => Ok(false),
+        Err(error) if error.raw_os_error() == Some(ERROR_SHARING_VIOLATION) => Ok(true),
+        Err(error) => Err(error),
+    }
 }
 
 /// Removes the temporary files of dead processes. Returns who writes the other ones, by the [`short`] name of the file.
@@ -456,16 +511,16 @@ fn remove_leftovers(folder: &Path) -> io::Result<BTreeMap<String, String>> {
         if !fs::symlink_metadata(&path).is_ok_and(|found| found.is_file()) {
             continue;
         }
-        match File::open(&path).map(|file| file.try_lock()) {
-            Ok(Ok(())) => drop(fs::remove_file(&path)),
-            Ok(Err(TryLockError::WouldBlock)) => {
+        match is_held(&path) {
+            Ok(false) => drop(fs::remove_file(&path)),
+            Ok(true) => {
                 let who = match process == std::process::id() {
                     true => "this process already writes it".to_owned(),
                     false => format!("process {process} has been writing it since {} UTC", date(seconds)),
                 };
                 busy.insert(of.to_owned(), who);
             }
-            _ => {}
+            Err(_) => {}
         }
     }
     Ok(busy)
@@ -577,7 +632,9 @@ fn date(seconds: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::files::{is_stdout, read_text};
+    #[cfg(unix)]
+    use crate::files::is_stdout;
+    use crate::files::read_text;
 
     fn write(path: &Path, text: &str, overwrite: Overwrite) -> io::Result<()> {
         let mut output = Output::create(path, "test", overwrite)?;
@@ -622,6 +679,19 @@ mod tests {
 
         let refused = check(folder.path(), "test", Overwrite::Any).map_err(|error| error.kind());
         assert_eq!(refused, Err(io::ErrorKind::InvalidInput), "a folder");
+    }
+
+    /// A lock that keeps others from the temporary file would also stop a writer that needs a path, as in Python.
+    #[test]
+    fn a_writer_may_open_the_temporary_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("out");
+        let output = Output::create(&path, "test", Overwrite::Own).expect("it is new");
+        fs::write(output.temporary(), "written by path").expect("nothing keeps it from writing");
+        let busy = check(&path, "test", Overwrite::Own).map_err(|error| error.kind());
+        assert_eq!(busy, Err(io::ErrorKind::ResourceBusy));
+        output.finish().expect("complete");
+        assert_eq!(read_text(&path).as_deref(), Ok("written by path"));
     }
 
     #[test]

@@ -2618,7 +2618,10 @@ fn infer_accepts_the_scene_of_check() {
         .args(["-c", command])
         .env(
             "PATH",
-            format!("{}:{}", program.display(), std::env::var("PATH").unwrap()),
+            std::env::join_paths(
+                std::iter::once(program.to_owned()).chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),
+            )
+            .unwrap(),
         )
         .env("TMPDIR", folder.path())
         .current_dir(root)

@@ -18,7 +18,8 @@ fn blocks() -> Vec<Block> {
 /// Returns the standard output and error of a shell command, with this program first on the path.
 pub fn shell(command: &str, folder: &Path) -> String {
     let program = Path::new(env!("CARGO_BIN_EXE_logicity")).parent().unwrap();
-    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let others = std::env::var_os("PATH").unwrap();
+    let path = std::env::join_paths(std::iter::once(program.to_owned()).chain(std::env::split_paths(&others))).unwrap();
     let output = Command::new("sh")
         .args(["-c", command])
         .env("PATH", path)

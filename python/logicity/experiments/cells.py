@@ -40,7 +40,7 @@ def prepare(cell: Cell, root: Path) -> Path:
         best = cell.task.model(cell.start.folder(root))
         temporary = folder / f".start{best.suffix}"
         shutil.copyfile(best, temporary)
-        temporary.rename(folder / f"start{best.suffix}")
+        temporary.replace(folder / f"start{best.suffix}")
     names = {"identity": cell.identity, "task": cell.task.name, "row": cell.row, "variant": cell.variant}
     write_json(folder / "cell.json", {**names, "spec": cell.spec, **cell.task.document(cell, root)})
     return folder

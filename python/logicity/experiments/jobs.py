@@ -22,6 +22,7 @@ from typing import IO, Any, TypeVar
 
 from ..cluster import ONE_THREAD, RETRIES, connect
 from ..files import reserved
+from ..learn.supervise import NEW_GROUP
 from ..terminal import first_line
 from .cells import finished, inputs, prepare, reuse, run_cell
 from .task import Cell
@@ -218,6 +219,7 @@ def _start(
         env={**os.environ, **ONE_THREAD, **environment},
         # Ctrl-C reaches only this process, which then ends the others.
         start_new_session=True,
+        creationflags=NEW_GROUP,
     )
 
 

@@ -401,11 +401,11 @@ def _fresh(folder: Path, mode: str, evaluation: Mapping[str, Any], overrides: Ma
         drawn = mode
         if city:
             drawn = str(config)
-            config.write_text(json.dumps({"base": base, **city}), encoding="utf-8")
+            config.write_text(json.dumps({"base": base, **city}), encoding="utf-8", newline="\n")
         options = ["--split", split, "--count", str(count), "--seed", str(seed), "-o", str(episodes)]
         code, _, _ = _logicity.run_command_line(["episodes", "make", drawn, *options])
         if code:
             raise OSError(f"`logicity episodes make {drawn} {' '.join(options)}` failed")
     task = f"task: {{episodes: {{{split}: {episodes.name}}}}}\n"
-    config.write_text(f"base: {json.dumps(base)}\n{task}", encoding="utf-8")
+    config.write_text(f"base: {json.dumps(base)}\n{task}", encoding="utf-8", newline="\n")
     return str(config)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+import queue
 import re
 import selectors
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple, Protocol
 
 from . import supervise
 
@@ -29,6 +31,9 @@ POLL = 0.05
 
 #: Seconds that a supervisor has to end the processes of its program.
 ENDING = 2.0
+
+#: The maximum number of bytes that are read at once.
+CHUNK = 1 << 16
 
 #: The maximum length of the last line of a running program.
 LINE = 100
@@ -81,6 +86,7 @@ def run_program(
             stderr=subprocess.PIPE,
             env={**os.environ, **environment},
             start_new_session=True,
+            creationflags=supervise.NEW_GROUP,
         ) as process,
     ):
         try:
@@ -96,32 +102,102 @@ def run_program(
 def _observed(process: subprocess.Popen[bytes], timeout: float | None, watch: Callable[[Running], None]) -> Ended:
     """Read the output of a process until it ends or its time is over."""
     assert process.stdout is not None and process.stderr is not None
-    output, log = bytearray(), bytearray()
+    ends = bytearray(), bytearray()
     begun = time.monotonic()
     end, has_ended = None if timeout is None else begun + timeout, False
     last = ""
-    with selectors.DefaultSelector() as pipes:
-        pipes.register(process.stdout, selectors.EVENT_READ, output)
-        pipes.register(process.stderr, selectors.EVENT_READ, log)
-        while pipes.get_map() or not has_ended:
+    with closing(_READ([process.stdout, process.stderr])) as pipes:
+        while pipes.left or not has_ended:
             if not has_ended and process.poll() is not None:
                 end, has_ended = time.monotonic() + DRAIN, True
             if end is not None and time.monotonic() > end:
                 break
-            # Without pipes, this only waits.
-            for key, _ in pipes.select(POLL):
-                chunk = os.read(key.fd, 1 << 16)
-                key.data.extend(chunk)
-                if len(key.data) > 2 * OUTPUT_BYTES:
-                    del key.data[:-OUTPUT_BYTES]
-                if not chunk:
-                    pipes.unregister(key.fileobj)
+            for number, chunk in pipes.read(POLL):
+                end_of = ends[number]
+                end_of.extend(chunk)
+                if len(end_of) > 2 * OUTPUT_BYTES:
+                    del end_of[:-OUTPUT_BYTES]
                 if b"\n" in chunk:
                     # The beginning of the line may have come before.
-                    last = _last_line(key.data[-(len(chunk) + LINE) :]) or last
+                    last = _last_line(end_of[-(len(chunk) + LINE) :]) or last
             watch(Running(time.monotonic() - begun, last))
     code = process.returncode if has_ended else None
-    return Ended(code, output.decode(errors="replace"), log.decode(errors="replace"))
+    output, log = (each.decode(errors="replace") for each in ends)
+    return Ended(code, output, log)
+
+
+class _Pipes(Protocol):
+    """Pipes that are read as data arrives. Each has a number, its position."""
+
+    @property
+    def left(self) -> int:
+        """The number of pipes that have not ended."""
+
+    def read(self, timeout: float) -> Iterator[tuple[int, bytes]]:
+        """Wait for data, and yield the number of each pipe that has some, with its data. Without pipes, only wait."""
+
+    def close(self) -> None:
+        """Stop reading."""
+
+
+class _Selected:
+    """Pipes that the system selects."""
+
+    def __init__(self, pipes: Sequence[IO[bytes]]) -> None:
+        """Register the pipes."""
+        self._selector = selectors.DefaultSelector()
+        for number, pipe in enumerate(pipes):
+            self._selector.register(pipe, selectors.EVENT_READ, number)
+        self.close = self._selector.close
+
+    @property
+    def left(self) -> int:
+        return len(self._selector.get_map())
+
+    def read(self, timeout: float) -> Iterator[tuple[int, bytes]]:
+        for key, _ in self._selector.select(timeout):
+            chunk = os.read(key.fd, CHUNK)
+            if not chunk:
+                self._selector.unregister(key.fileobj)
+            yield key.data, chunk
+
+
+class _Threaded:
+    """Pipes with a thread each, for Windows, which selects only sockets.
+
+    A thread ends with its pipe. On Windows, a job ends the processes that could hold the pipe open.
+    """
+
+    def __init__(self, pipes: Sequence[IO[bytes]]) -> None:
+        """Start the threads."""
+        self.left = len(pipes)
+        self._chunks: queue.Queue[tuple[int, bytes]] = queue.Queue(maxsize=64)
+        self._closed = False
+        for number, pipe in enumerate(pipes):
+            threading.Thread(target=self._forward, args=(number, pipe.fileno()), daemon=True).start()
+
+    def _forward(self, number: int, pipe: int) -> None:
+        chunk = b"begun"
+        while chunk and not self._closed:
+            chunk = os.read(pipe, CHUNK)
+            self._chunks.put((number, chunk))
+
+    def read(self, timeout: float) -> Iterator[tuple[int, bytes]]:
+        with suppress(queue.Empty):
+            number, chunk = self._chunks.get(timeout=timeout)
+            self.left -= not chunk
+            yield number, chunk
+
+    def close(self) -> None:
+        self._closed = True
+        # A thread may wait for space.
+        with suppress(queue.Empty):
+            while True:
+                self._chunks.get_nowait()
+
+
+#: The way to read several pipes on this system.
+_READ: Callable[[Sequence[IO[bytes]]], _Pipes] = _Threaded if sys.platform == "win32" else _Selected
 
 
 def _last_line(output: bytearray) -> str:
@@ -132,7 +208,7 @@ def _last_line(output: bytearray) -> str:
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
     """Kill a supervisor with its program and those that it started."""
-    if hasattr(os, "killpg"):
+    if sys.platform != "win32":
         # macOS refuses to signal a group of ended processes.
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -149,10 +149,10 @@ def train(
         best = learner.policy_class.load(run / f"best{suffix}")
         rules = best.rules()
         if rules is not None and suffix != ".dl":
-            (run / "rules.dl").write_text(rules, encoding="utf-8")
+            (run / "rules.dl").write_text(rules, encoding="utf-8", newline="\n")
         result = _result(config, learner, state, test.evaluate(best, name=config.algorithm))
         curves.finish(result)
-        Path(output.temporary).write_text(json_text(result))
+        Path(output.temporary).write_text(json_text(result), encoding="utf-8", newline="\n")
         output.finish()
     return result
 
@@ -402,7 +402,7 @@ class _Training:
             self._learner.policy().save(temporary / best)
         else:
             shutil.copyfile(old[-1] / best, temporary / best)
-        (temporary / "state.json").write_text(json_text(asdict(self._state)))
+        (temporary / "state.json").write_text(json_text(asdict(self._state)), encoding="utf-8", newline="\n")
         temporary.rename(self._run / name)
         for folder in old:
             shutil.rmtree(folder)

@@ -87,7 +87,7 @@ class SymbolicLearner(Learner):
     def save(self, folder: Path) -> None:
         """Write the rules, if training is over."""
         if self._text is not None:
-            (folder / "rules.dl").write_text(self._text, encoding="utf-8")
+            (folder / "rules.dl").write_text(self._text, encoding="utf-8", newline="\n")
 
     def restore(self, folder: Path) -> None:
         """Read the rules. There is no file if training had not ended."""

@@ -11,9 +11,10 @@ import hashlib
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -448,7 +449,7 @@ def _store(samples: VapDataset, world: _World, target: Path, extract: Extractor,
     temporary.replace(file)
     # The record comes last: features without one are not finished.
     temporary = temporary.with_suffix(".json")
-    temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8", newline="\n")
     temporary.replace(file.with_suffix(".json"))
 
 
@@ -570,10 +571,19 @@ def _made(folder: Path, spec: DataSpec, first: int, worlds: int, *, images: bool
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
     """Hold a lock file. Waits while another process holds it; a process that ends releases its locks."""
-    # Windows has no such module.
-    import fcntl
-
     path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+    with open(path, "ab") as file:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(0)
+            while True:
+                # Each attempt waits ten seconds, then raises.
+                with suppress(OSError):
+                    msvcrt.locking(file.fileno(), msvcrt.LK_LOCK, 1)
+                    break
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -333,7 +333,7 @@ def _induce(work: VapWork) -> Trained:
     start, train = work.started(), work.samples("train")
     unary, binary = _groundings(work, start, train)
     scenes, learned = work.folder / "scenes.jsonl", work.folder / "learned.dl"
-    with open(scenes, "w", encoding="utf-8") as out:
+    with open(scenes, "w", encoding="utf-8", newline="\n") as out:
         out.writelines(f"{json.dumps(scene)}\n" for scene in scenes_of(unary > 0.5, binary > 0.5, train))
     options = ["--config", f"configs/vap-{work.mode}.yaml", "--noise", "auto", "--threads", "1", "--force"]
     command = ["induce", str(scenes), *options, "--seed", str(work.seed), "-o", str(learned)]

@@ -423,11 +423,17 @@ fn kill_group(child: &Child) {
 
 #[cfg(not(unix))]
 fn separate(_: &mut Command) -> bool {
-    false
+    // `taskkill` finds what a process has started without a group.
+    cfg!(windows)
 }
 
+/// On Windows, ends what a process has started, too. Elsewhere there are no processes.
 #[cfg(not(unix))]
-fn kill_group(_: &Child) {}
+fn kill_group(child: &Child) {
+    let mut command = Command::new("taskkill");
+    command.args(["/F", "/T", "/PID", &child.id().to_string()]);
+    let _ = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
+}
 
 /// Passes a line of an oracle on. Returns false at the end.
 fn pass_line(output: &mut impl BufRead, answered: &SyncSender<Vec<u8>>) -> bool {
@@ -443,11 +449,18 @@ fn shell(command: &str) -> Command {
     shell
 }
 
-#[cfg(not(unix))]
+#[cfg(windows)]
 fn shell(command: &str) -> Command {
+    use std::os::windows::process::CommandExt;
     let mut shell = Command::new("cmd");
-    shell.args(["/C", command]);
+    // `cmd` removes the outer quotes and reads the rest as it is.
+    shell.raw_arg(format!("/D /S /C \"{command}\""));
     shell
+}
+
+#[cfg(not(any(unix, windows)))]
+fn shell(command: &str) -> Command {
+    Command::new(command)
 }
 
 /// Reads the line of an answer: `{"action": "Stop"}`.

@@ -13,7 +13,7 @@ use crate::datalog::codes;
 use crate::datalog::print;
 use crate::datalog::{Functor, InputPolicy, Program, Rules, Workspace};
 use crate::diag::{Diagnostic, Fix, MAX_FAULTS, SourceId, Sources, Span};
-use crate::files::{BUILTIN_FOLDER, ReadFile, normalize};
+use crate::files::{ReadFile, builtin_path, normalize};
 use crate::sim::{Vocabulary, examine};
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -405,7 +405,7 @@ fn cap(faults: &mut Vec<Diagnostic>) {
 /// Returns where an include looks for its file: beside the including one, then among the built-in files.
 pub fn include_paths(from: &Path, path: &str) -> [PathBuf; 2] {
     let beside = from.parent().unwrap_or(Path::new("")).join(path);
-    [beside, Path::new(BUILTIN_FOLDER).join(path)].map(|path| normalize(&path))
+    [beside, builtin_path(path)].map(|path| normalize(&path))
 }
 
 /// Returns where names are declared first: the file, the item in it, and the name in that.

@@ -23,10 +23,15 @@ pub fn copy(name: &Path, text: &str) -> Option<PathBuf> {
     Some(path)
 }
 
-/// Returns `$XDG_CACHE_HOME/logicity/VERSION`, by default in `~/.cache`.
+/// Returns `$XDG_CACHE_HOME/logicity/VERSION`, by default in `~/.cache`, and on Windows in `%LOCALAPPDATA%`.
 pub fn folder() -> Option<PathBuf> {
-    let cache = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from);
-    let cache = cache.filter(|path| path.is_absolute());
+    let named = |name: &str| {
+        std::env::var_os(name)
+            .map(PathBuf::from)
+            .filter(|path| path.is_absolute())
+    };
+    let cache = named("XDG_CACHE_HOME");
+    let cache = cache.or_else(|| named("LOCALAPPDATA").filter(|_| cfg!(windows)));
     let cache = cache.or_else(|| Some(std::env::home_dir()?.join(".cache")))?;
     Some(cache.join("logicity").join(env!("CARGO_PKG_VERSION")))
 }

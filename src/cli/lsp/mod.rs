@@ -25,7 +25,7 @@ use crate::config::ActionsConfig;
 use crate::datalog;
 use crate::datalog::Rules;
 use crate::diag::{Diagnostic, Fix, Label, Severity, SourceId, Sources, Span};
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
+use crate::files::{ReadError, ReadFile, builtin_path, normalize};
 use crate::sim::{conflict_lints, conflicts};
 use analysis::Analysis;
 use client::Client;
@@ -773,7 +773,7 @@ fn whole_lines(sources: &Sources, span: Span) -> Span {
 fn key(uri: &str) -> PathBuf {
     let path = normalize(&path_of(uri));
     let inside = builtin::folder().and_then(|folder| Some(path.strip_prefix(normalize(&folder)).ok()?.to_owned()));
-    inside.map_or(path, |inside| Path::new(BUILTIN_FOLDER).join(inside))
+    inside.map_or(path, builtin_path)
 }
 
 /// Returns a location in a file.

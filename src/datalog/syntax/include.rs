@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, SourceId, Sources, Span};
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize};
+use crate::files::{ReadError, ReadFile, builtin_path, normalize};
 
 use crate::syntax::ast::{File, Include, Item};
 use crate::syntax::locate::{BUILTIN_RULES, ENDING, Wanted};
@@ -73,7 +73,7 @@ pub(crate) fn offered(read: &dyn ReadFile) -> Offered {
         if Path::new(written).extension().is_none_or(|ending| ending != ENDING) {
             continue;
         }
-        let Ok(text) = read.read(&Path::new(BUILTIN_FOLDER).join(written)) else {
+        let Ok(text) = read.read(&builtin_path(written)) else {
             continue;
         };
         let mut sources = Sources::new();

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::codes;
 use crate::diag::{self, Diagnostic, Span, similar_file, similar_file_in};
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, builtin_path, portable, slash_help};
 
 /// The extension of rule files.
 pub(super) const ENDING: &str = "dl";
@@ -31,13 +31,13 @@ impl Wanted<'_> {
     /// Returns the paths to try, in order.
     pub(super) fn candidates(&self, folders: &[PathBuf]) -> Vec<PathBuf> {
         let beside = (!self.elsewhere).then(|| self.folder().join(self.path));
-        let builtin = Path::new(BUILTIN_FOLDER).join(self.path);
+        let builtin = builtin_path(self.path);
         // `join` with an absolute path returns that path, so all candidates are the same.
         let builtin = builtin.starts_with(BUILTIN_FOLDER).then_some(builtin);
         let mut paths: Vec<PathBuf> = beside.into_iter().collect();
         paths.extend(folders.iter().map(|folder| folder.join(self.path)));
         paths.extend(builtin);
-        paths
+        paths.into_iter().map(portable).collect()
     }
 
     /// Reports that no candidate can be read.
@@ -78,6 +78,7 @@ impl Wanted<'_> {
             Some(near) if !self.elsewhere => fault
                 .help(format!("did you mean `{near}`?"))
                 .fix(format!("include `{near}`"), [(self.span, format!("\"{near}\""))]),
+            _ if slash_help(self.path).is_some() => fault.help(slash_help(self.path).unwrap_or_default()),
             _ if self.elsewhere => fault.help("name the folder of the file with the option `-I`"),
             _ if Path::new(self.path).is_relative() && self.path.contains('/') => {
                 fault.help("write the path from the folder of this file, or name a folder with the option `-I`")

@@ -8,7 +8,7 @@ use crate::config::{Scenario, load_scenario};
 use crate::datalog;
 use crate::datalog::ast::Item;
 use crate::diag::{Diagnostic, SourceId, Sources};
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalize, portable_name};
+use crate::files::{ReadError, ReadFile, builtin_path, normalize, portable_name};
 use crate::sim::codes;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -139,7 +139,7 @@ fn portable_names(paths: &[&str]) -> Vec<String> {
 /// Returns the position of the file that an include in the file `from` reaches, as [`datalog::load`] finds it.
 fn included<S: AsRef<str>>(names: &[S], from: &str, written: &str) -> Option<usize> {
     let beside = Path::new(from).parent().unwrap_or(Path::new("")).join(written);
-    let builtin = Path::new(BUILTIN_FOLDER).join(written);
+    let builtin = builtin_path(written);
     let position = |wanted: PathBuf| {
         let wanted = normalize(&wanted);
         names
