@@ -12,7 +12,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel musl-wheel installed python python-all rllib page docs links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all rllib page docs links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -60,6 +60,15 @@ ALPINE := docker.io/library/python:3.12-alpine
 musl-wheel:
 	docker run --rm --volume "$(CURDIR):/logicity:ro" --workdir /tmp $(ALPINE) sh -c \
 	    'pip install /logicity/$(WHEELS)/*musllinux*.whl && python /logicity/python/examples/incremental.py'
+
+# Not part of `make test`. Builds the image of the Dockerfile, without a network after its first stage, and evaluates a
+# policy in it. Needs Docker, or `make image DOCKER=podman`; IMAGE_OPTIONS are options of the builds.
+DOCKER := docker
+IMAGE_OPTIONS :=
+image:
+	$(DOCKER) build $(IMAGE_OPTIONS) --target packages --tag logicity-packages .
+	$(DOCKER) build $(IMAGE_OPTIONS) --network none --tag logicity .
+	$(DOCKER) run --rm --network none logicity evaluate --policy oracle --modes easy
 
 # Installs the wheel into a virtual environment.
 installed: wheel

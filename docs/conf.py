@@ -34,8 +34,8 @@ release = version = logicity.__version__
 copyright = author  # noqa: A001
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
-# A separate program with its README.
-exclude_patterns = ["playground"]
+# A separate program with its README, and an article for a journal.
+exclude_patterns = ["playground", "paper"]
 templates_path: list[str] = []
 nitpicky = True
 # Texts contain options such as `--json`.

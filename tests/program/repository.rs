@@ -67,6 +67,120 @@ fn manifests_agree() {
     assert_eq!(value("python/pyproject.toml", r#"^description = "(.*)""#), summary);
 }
 
+/// Every file that describes the project to a catalog says the same, as `CITATION.cff` does.
+#[test]
+fn catalogs_agree() {
+    let yaml = |path: &str| -> Value { serde_yaml::from_str(&read(path)).unwrap() };
+    let json = |path: &str| -> Value { serde_json::from_str(&read(path)).unwrap() };
+    let (cited, software, archived) = (yaml("CITATION.cff"), json("codemeta.json"), json(".zenodo.json"));
+    let (recipe, article) = (yaml("python/recipe/recipe.yaml"), read("docs/paper/paper.md"));
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    let head: Value = serde_yaml::from_str(article.split("---\n").nth(1).unwrap()).unwrap();
+
+    let title = text(&cited["title"]);
+    assert_eq!(title, value("Cargo.toml", r#"^name = "(.*)""#));
+    for named in [&software["name"], &archived["title"], &recipe["package"]["name"]] {
+        assert_eq!(text(named), title);
+    }
+    assert!(text(&head["title"]).starts_with(&format!("{title}: ")));
+
+    let version = text(&cited["version"]);
+    assert_eq!(version, value("Cargo.toml", r#"^version = "(.*)""#));
+    for stated in [
+        &software["version"],
+        &archived["version"],
+        &recipe["context"]["version"],
+    ] {
+        assert_eq!(text(stated), version);
+    }
+
+    let license = text(&cited["license"]);
+    assert_eq!(license, value("Cargo.toml", r#"^license = "(.*)""#));
+    assert_eq!(
+        text(&software["license"]),
+        format!("https://spdx.org/licenses/{license}")
+    );
+    assert_eq!(text(&archived["license"]), license);
+    assert_eq!(text(&recipe["about"]["license"]), license);
+    assert!(article.contains(&format!("license {license}")));
+    let image = read("Dockerfile");
+    assert!(image.contains(&format!("licenses=\"{license}\"")));
+
+    let names = |list: &Value| -> Vec<String> {
+        let names = list.as_array().unwrap().iter().map(|author| text(&author["name"]));
+        names.collect()
+    };
+    let authors = names(&cited["authors"]);
+    assert_eq!(names(&software["author"]), authors);
+    assert_eq!(names(&archived["creators"]), authors);
+    assert_eq!(names(&head["authors"]), authors);
+
+    let summary = value("Cargo.toml", r#"^description = "(.*)""#);
+    assert_eq!(text(&cited["abstract"]), format!("{summary}."));
+    for described in [
+        &software["description"],
+        &archived["description"],
+        &recipe["about"]["summary"],
+    ] {
+        assert_eq!(text(described), summary);
+    }
+    assert!(image.contains(&format!("description=\"{summary}\"")));
+    assert_eq!(software["keywords"], cited["keywords"]);
+    assert_eq!(archived["keywords"], cited["keywords"]);
+
+    let repository = text(&cited["repository-code"]);
+    for address in [
+        &software["codeRepository"],
+        &recipe["about"]["repository"],
+        &recipe["about"]["homepage"],
+    ] {
+        assert_eq!(text(address), repository);
+    }
+    let paper = &cited["references"][0];
+    assert_eq!(software["referencePublication"]["name"], paper["title"]);
+    assert_eq!(software["referencePublication"]["url"], paper["url"]);
+    assert_eq!(
+        archived["related_identifiers"][0]["identifier"],
+        paper["identifiers"][0]["value"]
+    );
+
+    // The dependencies of the conda package are those of the Python package.
+    let run = recipe["requirements"]["run"].to_string();
+    let python = value("python/pyproject.toml", r#"^requires-python = "(.*)""#);
+    assert!(run.contains(&format!("python {python}")), "{run}");
+    for dependency in value("python/pyproject.toml", r"^dependencies = \[(.*)\]").split(", ") {
+        assert!(
+            run.contains(&dependency.trim_matches('"').replace(">=", " >=")),
+            "{run}"
+        );
+    }
+}
+
+/// Each citation of the article is in its bibliography, and the other way round.
+#[test]
+fn citations_of_the_article_are_listed() {
+    let keys = |path: &str, pattern: &str| -> BTreeSet<String> {
+        let pattern = Regex::new(pattern).unwrap();
+        let text = read(path);
+        pattern.captures_iter(&text).map(|found| found[1].to_owned()).collect()
+    };
+    let cited = keys("docs/paper/paper.md", r"@([a-z]+\d{4}[a-z]+)");
+    assert!(cited.len() >= 5, "{cited:?}");
+    assert_eq!(cited, keys("docs/paper/paper.bib", r"(?m)^@[a-z]+\{([^,]+),"));
+}
+
+/// The image is built with the toolchain of the repository from the manifests of the workspace.
+#[test]
+fn the_image_has_all_manifests() {
+    let image = read("Dockerfile");
+    let channel = value("rust-toolchain.toml", r#"^channel = "(.*)"$"#);
+    assert!(image.contains(&format!("rust:{channel}-")) && image.contains(&format!("RUSTUP_TOOLCHAIN={channel} ")));
+    for member in value("Cargo.toml", r"^members = \[(.*)\]").split(", ") {
+        let manifest = format!("{}/Cargo.toml", member.trim_matches('"'));
+        assert!(image.contains(&format!("COPY {manifest} ")), "{manifest}");
+    }
+}
+
 /// The registry of crates takes at most five keywords of at most 20 characters; cargo does not check that.
 #[test]
 fn keywords_of_the_crates_are_accepted() {
@@ -276,6 +390,9 @@ fn a_release_needs_equal_versions_a_date_and_an_owner() {
         ("python/Cargo.toml", "version = \"0.2.0\"\n"),
         ("benches/peers/Cargo.toml", "version = \"0.0.0\"\n"),
         ("CITATION.cff", "cff-version: 1.2.0\nversion: 0.2.0\n"),
+        ("codemeta.json", "{\n  \"version\": \"0.2.0\",\n}\n"),
+        (".zenodo.json", "{\n  \"version\": \"0.2.0\",\n}\n"),
+        ("python/recipe/recipe.yaml", "context:\n  version: \"0.2.0\"\n"),
         ("python/pyproject.toml", "dynamic = [\"version\"]\n"),
         (
             "CHANGELOG.md",
@@ -304,6 +421,16 @@ fn a_release_needs_equal_versions_a_date_and_an_owner() {
             "CITATION.cff",
             "version: 0.1.0\n",
             "CITATION.cff has version 0.1.0, not 0.2.0",
+        ),
+        (
+            "codemeta.json",
+            "{\n  \"version\": \"0.1.0\",\n}\n",
+            "codemeta.json has version 0.1.0, not 0.2.0",
+        ),
+        (
+            "python/recipe/recipe.yaml",
+            "context:\n  version: \"0.1.0\"\n",
+            "python/recipe/recipe.yaml has version 0.1.0, not 0.2.0",
         ),
         (
             "python/pyproject.toml",
