@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import chart
 import history
 import logicity
 from logicity.commands import SUMMARIES, parser_of
@@ -401,7 +402,7 @@ def results(name: str) -> str:
     """Return the tables of a file of results."""
     module = imported("logicity.experiments.results")
     with mock(OPTIONAL):
-        text: str = module.leaderboard(module.read_results(ROOT / "results" / f"{name}.json", name), 3)
+        text: str = module.leaderboard(module.read_results(ROOT / "results" / f"{name}.json", name), 3, draw=chart.draw)
     return text
 
 

@@ -100,7 +100,7 @@ def spread(learner: str, variant: str) -> str:
 DQN: dict[str, Any] = {"learner": "dqn", "seed": 0}
 #: Parts of sentences with figures, by page.
 QUOTES: dict[str, list[str]] = {
-    "reference/leaderboard.md": [
+    "reference/leaderboard*.md": [
         f"its TSR is {transfer('easy')} from easy mode and {transfer('scratch')} from scratch",
         f"10 % of the demonstrations only: {of('transfer', learner='mlp', variant='from easy 10 %')} from easy mode, "
         f"{of('transfer', learner='mlp', variant='from scratch 10 %')} from scratch",
@@ -209,7 +209,7 @@ POPPER_OF_PAPER = [paper_table("spf")["rows"]["maxsynth"][""][mode][:2] for mode
 
 #: Figures of these pages that no published row has: bounds, and those of the paper and of a constant policy.
 OTHERS = {
-    "reference/leaderboard.md": [
+    "reference/leaderboard*.md": [
         *("0.00", "0.12", "0.13", "0.06", "0.11", "0.97", "0.02"),
         # Of Popper and MaxSynth, which no experiment runs: measured with their negated literals, and positive ones.
         *("0.07", "0.24", "0.92", "0.79", "0.71", "0.63", "0.74"),
@@ -222,8 +222,9 @@ OTHERS = {
 
 
 def prose(page: str) -> str:
-    """Return the paragraphs of a page as one line, without blocks of code."""
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    """Return the paragraphs of a page, or of several, as one line, without blocks of code."""
+    pages = sorted((ROOT / "docs").glob(page))
+    text = "\n".join(each.read_text(encoding="utf-8") for each in pages)
     return " ".join(re.sub(r"^```.*?^```", "", text, flags=re.M | re.S).split())
 
 
@@ -261,7 +262,7 @@ def test_recalls_below_the_papers_are_named() -> None:
     assert sorted(below.pop("Fast")) == [("e2e-nlm", agents, "hard") for agents in AGENTS]
     assert below == {"wAcc": [("e2e-nlm", "fixed", "hard")]}
     assert "in all eight end-to-end cells, and Fast in the two of `e2e-nlm` in hard mode" in prose(
-        "reference/leaderboard.md"
+        "reference/leaderboard*.md"
     )
 
 
@@ -276,7 +277,7 @@ def test_means_below_the_papers_are_named() -> None:
                 for measure, value in zip(below, values, strict=True):
                     if float(mean(row["measures"][measure.lower()]["value"] for row in rows)) < value:
                         below[measure].setdefault(learner, []).append(mode)
-    text = prose("reference/leaderboard.md")
+    text = prose("reference/leaderboard*.md")
     for measure, learners in below.items():
         cells = ", ".join(f"`{learner}` ({', '.join(modes)})" for learner, modes in learners.items())
         assert f"- {measure}: {cells}" in text, (measure, cells)

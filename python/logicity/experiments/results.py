@@ -8,20 +8,21 @@ from __future__ import annotations
 import json
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
+from ..evaluation import Interval
 from ..files import file_hash, read_json, reserved
 from .cells import finished
 from .paper import paper_table
 from .registry import Loaded, load_experiment
-from .report import Line, detail_table, mean_details, measure_table, paper_rows
+from .report import Figures, Line, detail_table, mean_details, measure_table, paper_rows
 from .statistics import grouped
 from .tables import markdown_table
-from .task import Cell
+from .task import Cell, Task
 
-__all__ = ["as_text", "check_rows", "compare", "leaderboard", "read_results", "submit"]
+__all__ = ["Headline", "as_text", "check_rows", "compare", "leaderboard", "read_results", "submit"]
 
 #: The version of the format.
 FORMAT = 4
@@ -152,7 +153,7 @@ def submit(
         for cell in shown_cells:
             yield from _update(rows, loaded, cell, root, only_hashes)
         document["rows"] = sorted(rows.values(), key=lambda row: _place_of(row, loaded))
-        Path(output.temporary).write_text(as_text(document), encoding="utf-8")
+        Path(output.temporary).write_text(as_text(document), encoding="utf-8", newline="\n")
         output.finish()
     yield f"{len(rows)} rows in {results}"
 
@@ -322,19 +323,26 @@ def _rehashed(place: str, old: Row, new: Row) -> dict[str, Any]:
     return {**old, **{key: again[key] for key in ("versions", "sha256_of", "sha256")}}
 
 
-def leaderboard(results: Mapping[str, Any], level: int = 2, loaded: Loaded | None = None) -> str:
+def leaderboard(
+    results: Mapping[str, Any], level: int = 2, loaded: Loaded | None = None, draw: Draw = lambda measure, modes: ""
+) -> str:
     """Return the results as Markdown: a table per mode, beside the figures of the paper, and notes.
 
-    Headings have a level, 2 for `##`. The experiment is by default the built-in one with the name.
+    Headings have a level, 2 for `##`. The experiment is by default the built-in one with the name. `draw` returns the
+    beginning, a figure, from the heading of the main measure and its values by mode.
     """
     rows = results["rows"]
     if not rows:
         return f"The file `results/{results['experiment']}.json` has no row yet.\n"
     loaded = loaded or load_experiment(results["experiment"])
-    parts = [
+    task = loaded.task
+    lines = {mode: _pooled(loaded, mode, own) for mode, own in grouped((row["mode"], row) for row in rows).items()}
+    headlines = {mode: [_headline(task, line) for line in own] for mode, own in lines.items()}
+    parts = [*filter(None, [draw(task.measures[task.headline], headlines)])]
+    parts += (
         f"{'#' * level} {mode.capitalize()}\n\n{markdown_table(_mode_table(loaded, mode, own))}"
-        for mode, own in grouped((row["mode"], row) for row in rows).items()
-    ]
+        for mode, own in lines.items()
+    )
     for mode, own in grouped((row["mode"], row) for row in rows if row["details"]).items():
         columns = grouped((", ".join(filter(None, (row["learner"], row["variant"]))), row["details"]) for row in own)
         means = {name: mean_details(each) for name, each in columns.items()}
@@ -349,27 +357,67 @@ def leaderboard(results: Mapping[str, Any], level: int = 2, loaded: Loaded | Non
     return "\n".join([*parts, _sources(loaded, rows), *(["\n".join(notes) + "\n"] if notes else [])])
 
 
-def _mode_table(loaded: Loaded, mode: str, rows: Sequence[Row]) -> list[list[str]]:
-    """Return the table of a mode. Rows without variants are sorted by the headline."""
-    task, table = loaded.task, loaded.experiment.paper
+class Headline(NamedTuple):
+    """The main measure of a line of a table: its name, its value with an interval, and the paper's value if known."""
+
+    name: str
+    measured: Interval
+    paper: float | None
+
+
+def _headline(task: Task, line: _Pooled) -> Headline:
+    paper = line.paper.get(task.headline) if isinstance(line.paper, Mapping) else None
+    return Headline(line.name.replace("`", ""), line.measures[task.headline], paper)
+
+
+#: Draws the main measures of modes.
+Draw: TypeAlias = Callable[[str, Mapping[str, Sequence[Headline]]], str]
+
+
+class _Pooled(NamedTuple):
+    """The rows of a line of a table: those with several seeds of a learner."""
+
+    name: str
+    key: tuple[str, str, str]
+    rows: Sequence[Row]
+    measures: Mapping[str, Interval]
+    paper: Figures | None
+
+
+def _pooled(loaded: Loaded, mode: str, rows: Sequence[Row]) -> list[_Pooled]:
+    """Return the lines of the table of a mode. Lines without variants are sorted by the headline."""
+    task = loaded.task
     groups = grouped(((row["learner"], row["variant"], row["evaluation"]), row) for row in rows)
-    pooled = {key: task.intervals([task.evaluation_of(row) for row in group]) for key, group in groups.items()}
     several = len({evaluation for _, _, evaluation in groups}) > 1
-    ordered = list(groups)
+    lines = [
+        _Pooled(
+            ", ".join([f"`{key[0]}`", *filter(None, (key[1], key[2] if several else ""))]),
+            key,
+            group,
+            task.intervals([task.evaluation_of(row) for row in group]),
+            task.paper_value(loaded.experiment.paper, *loaded.experiment.of_paper(*key[:2]), mode),
+        )
+        for key, group in groups.items()
+    ]
     if not several and not any(variant for _, variant, _ in groups):
-        ordered.sort(key=lambda key: -pooled[key][task.headline].value)
-    trained = any(row["training"] for row in rows)
+        lines.sort(key=lambda line: -line.measures[task.headline].value)
+    return lines
+
+
+def _mode_table(loaded: Loaded, mode: str, pooled: Sequence[_Pooled]) -> list[list[str]]:
+    """Return the table of a mode."""
+    task = loaded.task
+    trained = any(row["training"] for line in pooled for row in line.rows)
     lines: list[Line] = []
-    for key in ordered:
-        group = groups[key]
-        name = ", ".join([f"`{key[0]}`", *filter(None, (key[1], key[2] if several else ""))])
+    for line in pooled:
+        group = line.rows
         seeds = ", ".join(str(row["seed"]) for row in group)
         command = group[0]["command"].partition(" --seeds")[0] + f" --seeds {seeds.replace(' ', '')}"
         minutes = sum(row["cpu_seconds"] for row in group) / len(group) / 60
         steps = [f"{group[0]['training']['steps']:,}"] if trained else []
-        paper = task.paper_value(table, *loaded.experiment.of_paper(*key[:2]), mode)
-        lines.append((name, pooled[key], paper, [seeds, *steps, f"{minutes:.1f}", f"`{command}`"]))
-    others = paper_rows(task, table, mode, {loaded.experiment.of_paper(*key[:2]) for key in groups})
+        lines.append((line.name, line.measures, line.paper, [seeds, *steps, f"{minutes:.1f}", f"`{command}`"]))
+    found = {loaded.experiment.of_paper(*line.key[:2]) for line in pooled}
+    others = paper_rows(task, loaded.experiment.paper, mode, found)
     return measure_table(task, ["seeds", *["steps"] * trained, "CPU min", "command"], lines, others)
 
 
