@@ -12,7 +12,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all rllib page docs links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all rllib page docs versions site links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -94,9 +94,24 @@ docs: installed
 	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
 	$(VENV)/$(BIN)/ruff check --config python/pyproject.toml docs benches/record.py
 	$(VENV)/$(BIN)/ruff format --config python/pyproject.toml --check docs benches/record.py
-	MYPYPATH=docs $(VENV)/$(BIN)/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py benches/record.py
+	MYPYPATH=docs $(VENV)/$(BIN)/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py docs/search.py docs/chart.py docs/dark.py docs/notebooks.py benches/record.py
 	$(VENV)/$(BIN)/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
 	$(VENV)/$(BIN)/python docs/links.py $(SITE)
+	$(VENV)/$(BIN)/python docs/search.py $(SITE)
+
+# Not part of `make test`. Downloads the sites of the releases, which `make docs` then adds. Needs the program `gh`.
+VERSIONS := target/versions
+versions:
+	rm -rf $(VERSIONS)
+	for tag in $$(gh release list --json tagName --jq '.[].tagName'); do \
+	    mkdir -p $(VERSIONS)/$$tag; \
+	    gh release download $$tag --pattern site.tar.gz --output - | tar -xzf - -C $(VERSIONS)/$$tag || exit 1; \
+	done
+
+# Not part of `make test`. The site as a file of a release, without those of other releases.
+site: doc docs
+	mkdir -p target/site
+	tar -C $(SITE) -czf target/site/site.tar.gz --exclude=./versions .
 
 # Requests every address of another site that the documents name. Reads the network.
 links:

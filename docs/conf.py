@@ -12,6 +12,7 @@ import importlib.util
 import re
 import shutil
 import sys
+from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,15 @@ from docutils import nodes
 from docutils.parsers.rst import Directive, directives
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
+from sphinx.domains import Domain, ObjType
 from sphinx.environment import BuildEnvironment
 from sphinx.errors import ExtensionError
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 import logicity
+import notebooks
+from dark import darkened
 from generated import ADDED, GENERATORS, OPTIONAL, public_names
 from lexer import RuleLexer
 
@@ -80,7 +84,10 @@ nitpick_ignore_regex = [
 html_theme = "furo"
 html_title = f"LogiCity {release}"
 html_favicon = "_static/logo.svg"
-html_static_path = ["_static"]
+# The second folder is for files that the build makes.
+MADE = Path(__file__).parents[1] / "target" / "docs-made"
+MADE.mkdir(parents=True, exist_ok=True)
+html_static_path = ["_static", str(MADE)]
 html_css_files = ["site.css"]
 html_show_sphinx = False
 html_show_copyright = False
@@ -105,7 +112,7 @@ MARKED_BLOCK = re.compile(r"^```(\w+) (?:exit=\d+|cargo|illustration|scene|answe
 
 def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
     """Insert generated text, and show file names as captions."""
-    text = GENERATED.sub(lambda match: GENERATORS[match[1]](), source[0])
+    text = notebooks.with_link(GENERATED.sub(lambda match: GENERATORS[match[1]](), source[0]), docname)
     text = NAMED_BLOCK.sub(r"```{code-block} \1\n:caption: \2\n", text)
     source[0] = MARKED_BLOCK.sub(r"```\1", text)
 
@@ -120,6 +127,12 @@ def resolve(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nod
     return None
 
 
+def make_files(app: Sphinx) -> None:
+    """Make the files that pages show and that follow from others: the dark version of the first picture."""
+    animation = (Path(app.srcdir) / "images" / "city.gif").read_bytes()
+    (MADE / "city-dark.gif").write_bytes(darkened(animation))
+
+
 def hide_colons(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
     """Hide colons in the docstring of a property: napoleon would read the text before the first one as a type."""
     if what in ("attribute", "data", "property") and lines:
@@ -129,6 +142,43 @@ def hide_colons(app: Sphinx, what: str, name: str, value: object, options: objec
 def show_colons(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
     """Show the hidden colons again."""
     lines[:] = [line.replace("\x01", ":") for line in lines]
+
+
+class Names(Domain):
+    """The names of predicates and messages, which the search of the site finds first."""
+
+    name = "logicity"
+    label = "LogiCity"
+    object_types = {"predicate": ObjType("predicate"), "message": ObjType("message")}  # noqa: RUF012
+    initial_data = {"objects": []}  # noqa: RUF012
+    #: The kind of the names on a page. Each is the heading of a section.
+    pages = {"reference/predicates": "predicate", "reference/errors": "message", "reference/warnings": "message"}  # noqa: RUF012
+
+    def process_doc(self, env: BuildEnvironment, docname: str, document: nodes.document) -> None:
+        """Collect the names of a page."""
+        if docname not in self.pages:
+            return
+        for section in document.findall(nodes.section):
+            title = section.next_node(nodes.title)
+            if title is not None and [type(part) for part in title.children] == [nodes.literal]:
+                self.data["objects"].append((title.astext(), self.pages[docname], docname, section["ids"][0]))
+
+    def clear_doc(self, docname: str) -> None:
+        """Forget the names of a page."""
+        self.data["objects"] = [each for each in self.data["objects"] if each[2] != docname]
+
+    def merge_domaindata(self, docnames: Set[str], otherdata: dict[str, Any]) -> None:
+        """Add the names that another process has collected on pages."""
+        self.data["objects"] += [each for each in otherdata["objects"] if each[2] in docnames]
+
+    def resolve_any_xref(self, *arguments: Any) -> list[tuple[str, nodes.reference]]:
+        """Resolve no link: pages link to the targets of the headings."""
+        return []
+
+    def get_objects(self) -> Iterator[tuple[str, str, str, str, str, int]]:
+        """Yield each name with its kind and place, as important for the search."""
+        for name, kind, docname, anchor in self.data["objects"]:
+            yield name, name, kind, docname, anchor, 0
 
 
 class Drawing(Directive):
@@ -196,14 +246,24 @@ def add_folders(app: Sphinx, error: Exception | None) -> None:
             shutil.copytree(folder, Path(app.outdir) / name)
 
 
+def add_notebooks(app: Sphinx, error: Exception | None) -> None:
+    """Add the tutorials that are notebooks, as files."""
+    if error is None and app.builder.name == "html":
+        # MyST-NB writes what it has executed there.
+        notebooks.write(Path(app.outdir).parent / "jupyter_execute", Path(app.outdir), app.env.found_docs)
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the parts above."""
     app.add_lexer("dl", RuleLexer)
+    app.add_domain(Names)
     app.add_directive("drawing", Drawing)
+    app.connect("builder-inited", make_files)
     app.connect("source-read", read_source)
     app.connect("missing-reference", resolve)
     app.connect("autodoc-process-docstring", hide_colons, priority=400)
     app.connect("autodoc-process-docstring", show_colons, priority=600)
     app.connect("build-finished", add_policies)
     app.connect("build-finished", add_folders)
+    app.connect("build-finished", add_notebooks)
     return {"parallel_read_safe": True}

@@ -31,7 +31,10 @@ from sphinx.ext.autodoc.mock import mock  # type: ignore[attr-defined]
 
 ROOT = Path(__file__).parents[1]
 #: The folders that other targets of the Makefile build, by the folder of the site that gets a copy.
-ADDED = {"playground": ROOT / "target" / "playground", "rust": ROOT / "target" / "doc"}
+ADDED = {
+    name: ROOT / "target" / folder
+    for name, folder in [("playground", "playground"), ("rust", "doc"), ("versions", "versions")]
+}
 #: The files of the repository that have a page in `project`.
 REPOSITORY_FILES = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md")
 #: A link in Markdown.
@@ -154,6 +157,40 @@ def messages(severity: str) -> str:
         parts.append(f"Right:\n\n{example_blocks(code['right'])}")
         if code["command"] and code["command"].startswith("logicity"):
             parts.append(f"Reported by `{code['command']}`.\n")
+    return "\n".join(parts)
+
+
+#: A heading of the vocabulary, a comment of documentation, a declaration with its name and its arguments.
+VOCABULARY = re.compile(r"^(?:// --- (?P<title>.*)|/// (?P<about>.*)|\.decl (?P<name>\w+)(?P<arguments>\(.*\)))$")
+#: The definition of a predicate in the standard configuration, on its line or on the next one.
+DEFINITION = re.compile(r"^  (\w+):\s+(\S.*)$", re.MULTILINE)
+
+
+def predicates() -> str:
+    """Return a section for each predicate of the vocabulary: what it says, and its standard definition."""
+    standard = (ROOT / "configs" / "predicates" / "standard.yaml").read_text(encoding="utf-8")
+    definitions = dict(DEFINITION.findall(standard))
+    parts: list[str] = []
+    about: list[str] = []
+    title = ""
+    for line in (ROOT / "rules" / "vocabulary.dl").read_text(encoding="utf-8").splitlines():
+        match = VOCABULARY.match(line)
+        if match is None:
+            about = []
+        elif match["title"]:
+            title = match["title"].partition(" (")[0]
+        elif match["about"]:
+            about.append(match["about"])
+        else:
+            if title:
+                parts.append(f"\n## {title[0].upper()}{title[1:]}\n")
+                title = ""
+            name = match["name"]
+            parts.append(f"(predicate-{name})=\n### `{name}`\n")
+            parts.append(f"`{name}{match['arguments']}`: {' '.join(about)}\n")
+            if name in definitions:
+                parts.append(f"Definition: `{definitions[name]}`.\n")
+            about = []
     return "\n".join(parts)
 
 
@@ -459,6 +496,20 @@ def playground() -> str:
     )
 
 
+def versions() -> str:
+    """Return a table of the versions in the changelog, with links to the sites of those that `make versions` found."""
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    rows = ["| version | date | its site |", "|---|---|---|"]
+    for number, date in re.findall(r"^## (\S+) - (.+)$", changes, re.MULTILINE):
+        page = ADDED["versions"] / f"v{number}" / "index.html"
+        if number == logicity.__version__:
+            site = "this one"
+        else:
+            site = f'<a href="../versions/v{number}/index.html">{number}</a>' if page.is_file() else "not kept"
+        rows.append(f"| {number} | {date} | {site} |")
+    return "\n".join(rows)
+
+
 def rust() -> str:
     """Return a link to the documentation of the crate, or the command that builds it."""
     if ADDED["rust"].is_dir():
@@ -557,6 +608,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "commands": commands,
     "errors": lambda: messages("error"),
     "warnings": lambda: messages("warning"),
+    "predicates": predicates,
     "configuration": configuration,
     "training": training,
     **{f"experiment-files-{name}": functools.partial(experiment_files, name) for name in EXPERIMENT_PARTS},
@@ -566,6 +618,11 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "python": python,
     "playground": playground,
     "rust": rust,
+    "versions": versions,
+    "chart-observations": lambda: results("observations").partition("### ")[0],
+    "chart-history": lambda: history.page((ROOT / "benches" / "history.jsonl").read_text(encoding="utf-8")).partition(
+        "\n\n|"
+    )[0],
     "history": lambda: history.page((ROOT / "benches" / "history.jsonl").read_text(encoding="utf-8")),
     **{f"results-{name}": functools.partial(results, name) for name in RESULTS},
     **{Path(name).stem.lower(): functools.partial(repository_file, name) for name in REPOSITORY_FILES},

@@ -16,7 +16,7 @@ from urllib.parse import unquote, urlsplit
 from urllib.request import Request, urlopen
 
 #: Folders of the site that Sphinx does not write; their pages count as targets only.
-FOREIGN = ("_static", "playground", "rust")
+FOREIGN = ("_static", "playground", "rust", "versions")
 
 
 class Page(HTMLParser):

@@ -92,6 +92,31 @@ fn named_files_exist() {
     assert_eq!(missing, [""; 0]);
 }
 
+/// Each tutorial ends with a link to the next one of its track, the last one with links out of it.
+#[test]
+fn tutorials_end_where_the_next_one_begins() {
+    let folder = root().join("docs/tutorials");
+    let index = fs::read_to_string(folder.join("index.md")).unwrap();
+    let track = Regex::new(r"(?s)```\{toctree\}\n:hidden:\n:caption: ([^\n]+)\n\n(.*?)\n```").unwrap();
+    let tracks: Vec<Vec<&str>> = track
+        .captures_iter(&index)
+        .map(|found| found.get(2).unwrap().as_str().lines().collect())
+        .collect();
+    assert_eq!(tracks.len(), 4, "{tracks:?}");
+    for pages in tracks {
+        for (at, page) in pages.iter().enumerate() {
+            let text = fs::read_to_string(folder.join(format!("{page}.md"))).unwrap();
+            let (_, end) = text
+                .rsplit_once("\n## Next\n")
+                .unwrap_or_else(|| panic!("{page} has no end"));
+            match pages.get(at + 1) {
+                Some(next) => assert!(end.contains(&format!("({next}.md)")), "{page} does not lead to {next}"),
+                None => assert!(end.contains("](../"), "{page} leads nowhere"),
+            }
+        }
+    }
+}
+
 /// A manifest that gives a reason in another file names one that mentions the subject.
 #[test]
 fn reasons_stand_where_manifests_say() {
