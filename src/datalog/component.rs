@@ -119,9 +119,18 @@ struct Definition<'i> {
 #[derive(Default)]
 struct Binding<'i> {
     arguments: HashMap<&'i str, Argument<'i>>,
+    /// The binding of the component whose text contains this one.
+    around: Option<Rc<Binding<'i>>>,
 }
 
-#[derive(Clone)]
+impl<'i> Binding<'i> {
+    /// Returns what a name stands for, if it is that of a parameter.
+    fn get(&self, name: &str) -> Option<&Argument<'i>> {
+        let mut bindings = std::iter::successors(Some(self), |binding| binding.around.as_deref());
+        bindings.find_map(|binding| binding.arguments.get(name))
+    }
+}
+
 struct Argument<'i> {
     /// The name as the program writes it outside of all components.
     component: String,
@@ -270,7 +279,7 @@ impl<'i> Maker<'i, '_> {
     /// Finds the component that a type names, or reports that there is none.
     fn component(&mut self, of: &'i ComponentType, scope: Option<usize>, binding: &Binding<'i>) -> Option<usize> {
         let name = &of.name;
-        let bound = binding.arguments.get(name.text.as_str());
+        let bound = binding.get(name.text.as_str());
         let wanted = bound
             .map_or(name.text.as_str(), |argument| argument.component.as_str())
             .to_owned();
@@ -322,7 +331,7 @@ impl<'i> Maker<'i, '_> {
             .zip(&of.arguments)
             .map(|(parameter, argument)| {
                 let written = argument.text.as_str();
-                let bound = binding.arguments.get(written);
+                let bound = binding.get(written);
                 let argument = Argument {
                     component: bound.map_or(written, |argument| &argument.component).to_owned(),
                     written,
@@ -336,9 +345,9 @@ impl<'i> Maker<'i, '_> {
             let mut instances = std::iter::successors(instance, |&at| self.made[at].parent);
             instances.find_map(|at| self.made[at].bindings.get(&parent))
         });
-        let around = around.map_or_else(HashMap::new, |around| around.arguments.clone());
         Some(Rc::new(Binding {
-            arguments: around.into_iter().chain(arguments).collect(),
+            arguments: arguments.collect(),
+            around: around.cloned(),
         }))
     }
 
@@ -473,7 +482,7 @@ impl<'i> Maker<'i, '_> {
                 definition,
                 binding,
                 overridden: overridden.clone(),
-                by_parameter: own.by_parameter || own.binding.arguments.contains_key(base.name.text.as_str()),
+                by_parameter: own.by_parameter || own.binding.get(&base.name.text).is_some(),
             };
             chain.push(definition);
             self.layers(layer, instance, chain, layers);
@@ -530,7 +539,7 @@ impl<'i> Maker<'i, '_> {
 
     /// Returns the name that a type has outside of all instances.
     fn type_name(&self, from: Option<usize>, name: &str, binding: &Binding<'i>) -> String {
-        if let Some(argument) = binding.arguments.get(name) {
+        if let Some(argument) = binding.get(name) {
             return self.type_name(argument.instance, argument.written, &argument.binding);
         }
         match from {
@@ -658,7 +667,7 @@ impl Rename<'_, '_, '_> {
         match item {
             Item::Type(TypeDecl { name, definition, .. }) => {
                 // A declaration of a parameter declares the type that it stands for.
-                match self.binding.arguments.contains_key(name.text.as_str()) {
+                match self.binding.get(&name.text).is_some() {
                     true => self.type_name(name),
                     false => self.declared(name),
                 }

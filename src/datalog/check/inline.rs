@@ -49,7 +49,7 @@ pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
             }
         }
     }
-    let open = open_predicates(&meanings);
+    let open = open_predicates(items, &meanings);
     refuse_negated(items, &meanings, &open, faults);
     meanings.retain(|name, _| open.contains(name) && !cyclic.contains(name));
     if meanings.is_empty() && cyclic.is_empty() {
@@ -98,23 +98,24 @@ pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
 }
 
 /// Returns the inline predicates with a clause that does not bind all columns, itself or by other ones of this kind.
-fn open_predicates<'c>(meanings: &Meanings<'c>) -> HashSet<&'c str> {
+fn open_predicates<'c>(items: &'c [Item], meanings: &Meanings<'c>) -> HashSet<&'c str> {
+    let is_inline = |atom: &Atom| meanings.contains_key(atom.predicate.text.as_str());
+    // A larger body cannot replace an atom.
+    let fits = |clause: &&Clause| !clause.body.is_empty() && clause.body.iter().map(size).sum::<usize>() <= MAX_GROWTH;
+    let inline = clauses(items).filter(|clause| clause.heads.iter().any(is_inline));
+    let inline: Vec<&Clause> = inline.filter(fits).collect();
     let mut open: Unbound<'c> = HashMap::new();
     // A longer chain of such predicates is refused.
     for _ in 0..=MAX_DEPTH {
         let mut found: Unbound<'c> = HashMap::new();
-        for (&name, clauses) in meanings {
-            for (head, body) in clauses {
-                // A larger body cannot replace an atom.
-                if body.is_empty() || body.iter().map(size).sum::<usize>() > MAX_GROWTH {
-                    continue;
-                }
-                let weakened = weakened(body, &open);
-                let bound = bound_by_all(&weakened.iter().collect::<Vec<_>>(), &HashSet::new());
+        for clause in &inline {
+            let weakened = weakened(&clause.body, &open);
+            let bound = bound_by_all(&weakened.iter().collect::<Vec<_>>(), &HashSet::new());
+            for head in clause.heads.iter().filter(|head| is_inline(head)) {
                 for (column, term) in head.terms.iter().enumerate() {
-                    names_of(term, false, &mut |variable| {
-                        if !bound.contains(variable) {
-                            found.entry(name).or_default().insert(column);
+                    names_of(term, false, &mut |name| {
+                        if !bound.contains(name) {
+                            found.entry(&head.predicate.text).or_default().insert(column);
                         }
                     });
                 }

@@ -649,7 +649,8 @@ impl<'a> Parser<'a> {
         let name = self.slice(token);
         let fault = Diagnostic::new(codes::UNKNOWN_MACRO, format!("no macro `{name}` is defined"));
         let fault = fault.at(self.span(token), "").help(format!(
-            "include the file that defines it, or define it: `#define {name}`; a fact ends with a full stop"
+            "include the file that defines it, or define it: `#define {name}`; if it is a predicate, a full stop is \
+             missing"
         ));
         self.faults.push(fault);
         self.at = end;
