@@ -182,7 +182,7 @@ impl Names {
         }
     }
 
-    /// Makes the types faulty whose fields, members or parents are: nothing more can be said of their values.
+    /// Makes the types faulty whose fields, members or parents are, so that no message follows about their values.
     fn spread_faults(&self, faulty: &mut [bool]) {
         let mut users: Vec<Vec<usize>> = vec![Vec::new(); self.types.len()];
         for (id, ty) in self.types.iter().enumerate() {
