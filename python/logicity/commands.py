@@ -442,11 +442,12 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
         help = f"\nhelp: did you mean `{near[0]}`?" if near else ""
         expected = "oracle, random, the file of a policy, or the folder of a run"
         raise _UsageError(f"unknown policy `{text}`: expected {expected}{help}")
-    from .learn.policies import load_policy, policy_files
+    from .rule_policy import policy_files
 
     if path.is_dir() and not policy_files(path):
         what = "a folder without a file `best.*`, which `logicity train` writes at the end of a run"
         raise _UsageError(f"`{text}` is {what}\nhelp: name the file of a policy")
+    from .learn import load_policy
 
     saved = load_policy(path, trust=trust)
     return saved.policy, saved.path.stem, saved.mode, saved.observation, saved.egos

@@ -133,6 +133,11 @@ def header(algorithm: str, mode: str) -> str:
     return f"// logicity policy 1: {algorithm}, {mode}"
 
 
+def policy_files(folder: Path) -> list[Path]:
+    """Return the files of the policy of a run, or of a policy of a release."""
+    return sorted([*folder.glob("best.*"), *folder.glob("policy.dl"), *folder.glob("policy.safetensors")])
+
+
 def saved_by(path: str | os.PathLike[str]) -> dict[str, str]:
     """Return the `algorithm` and the `mode` in the file of a learner's policy. Raise `ValueError` if it lacks them."""
     first = _logicity.read_file(checked_path("path", path)).partition("\n")[0]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import UntrustedError, extra
 from ..files import read_json, read_tensors
-from ..rule_policy import saved_by
+from ..rule_policy import policy_files, saved_by
 from ..terminal import neutral
 from .learner import LearnedPolicy
 from .registry import LEARNERS, learner_class
@@ -19,7 +19,7 @@ from .registry import LEARNERS, learner_class
 if TYPE_CHECKING:
     from ..types import ArrayKind
 
-__all__ = ["SavedPolicy", "load_policy", "policy_files"]
+__all__ = ["SavedPolicy", "load_policy"]
 
 
 @dataclass(frozen=True)
@@ -95,11 +95,6 @@ def load_policy(path: str | os.PathLike[str], *, trust: bool = False) -> SavedPo
         policy = learner_class(algorithm).policy_class.load(file)
     mode, observation = (recorded.get(key, saved.get(key)) for key in ("mode", "observation"))
     return SavedPolicy(policy, file, algorithm, mode, observation, recorded.get("egos"))
-
-
-def policy_files(folder: Path) -> list[Path]:
-    """Return the files of the policy of a run, or of a policy of a release."""
-    return sorted([*folder.glob("best.*"), *folder.glob("policy.dl"), *folder.glob("policy.safetensors")])
 
 
 def _recorded(file: Path) -> dict[str, Any]:
