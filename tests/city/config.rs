@@ -517,6 +517,26 @@ fn a_bad_base_hides_no_other_fault() {
     assert_eq!(faults.len(), 2, "{}", rendered(&sources, &faults));
 }
 
+/// Configurations are the same on every system: `/` works everywhere. Only Windows also knows other separators.
+#[test]
+fn paths_have_slashes_on_every_system() {
+    let files = |agents: &'static str| {
+        let main = ["base: expert\nagents: ", agents, "\n"].concat();
+        load_memory(&[
+            ("main.yaml", &main),
+            ("parts/few.yaml", "test: {cars: [{priority: 1}]}\n"),
+        ])
+        .1
+    };
+    files("parts/few.yaml").expect("the file is there");
+    let found = files("parts\\few.yaml");
+    assert_eq!(found.is_ok(), cfg!(windows));
+    if let Err(faults) = found {
+        let help = faults[0].help.first().expect("the path has a portable form");
+        assert!(help.contains("`parts/few.yaml`"), "{help}");
+    }
+}
+
 #[test]
 fn bare_names_are_built_in_files() {
     let long = "base: configs/easy.yaml\nmap: configs/maps/random-8x8.yaml\nagents: configs/agents/expert.yaml\n\
