@@ -357,13 +357,13 @@ impl Icons {
         for (number, (text, ink)) in (0_u8..3).zip(concepts.iter().filter_map(badge)) {
             let y = y - f32::from(number) * 2.1 * radius;
             // Two characters are as wide as a larger badge.
-            let (radius, high) = match text.chars().count() {
-                0 | 1 => (radius, 0.95 * radius),
-                _ => (1.2 * radius, 0.85 * radius),
+            let (radius, high, bold) = match text.chars().count() {
+                0 | 1 => (radius, radius * 0.95, radius * 0.24),
+                _ => (radius * 1.2, radius * 0.85, radius * 0.21),
             };
             sketch.oval(x, y, radius, radius, Ink::WHITE);
             sketch.oval(x, y, radius * 0.88, radius * 0.88, ink);
-            sketch.letters(&text, (x, y), high, high * 0.25, Ink::WHITE);
+            sketch.letters(&text, (x, y), high, bold, Ink::WHITE);
         }
     }
 
