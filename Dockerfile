@@ -2,9 +2,9 @@
 #
 #   docker build --target packages .
 #   docker build --network none --tag logicity .
-#   docker run --rm --volume "$PWD:/work" logicity run expert --seed 4
-ARG RUST=docker.io/library/rust:1.95.0-slim-bookworm
-ARG PYTHON=docker.io/library/python:3.12-slim-bookworm
+#   docker run --rm --volume "$PWD:/data" logicity run expert --seed 4
+ARG RUST=rust:1.95.0-slim-bookworm
+ARG PYTHON=python:3.12-slim-bookworm
 FROM ${RUST} AS rust
 
 # The compilers, and every package that the later stages use.
@@ -46,8 +46,8 @@ LABEL org.opencontainers.image.title="logicity" \
       org.opencontainers.image.licenses="MIT"
 COPY --from=build /opt/logicity /opt/logicity
 ENV PATH=/opt/logicity/bin:$PATH
-RUN useradd --create-home --uid 1000 logicity && mkdir /work && chown logicity /work
+RUN useradd --create-home --uid 1000 logicity && mkdir /data && chown logicity /data
 USER logicity
-WORKDIR /work
+WORKDIR /data
 ENTRYPOINT ["logicity"]
 CMD ["--help"]

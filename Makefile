@@ -56,7 +56,7 @@ wheel: $(filter $(VENV)/%,$(MATURIN))
 	    $(WHEEL_OPTIONS)
 
 # Not part of `make test`. Installs the wheel for musl into Alpine Linux and runs an example there. Needs Docker.
-ALPINE := docker.io/library/python:3.12-alpine
+ALPINE := python:3.12-alpine
 musl-wheel:
 	docker run --rm --volume "$(CURDIR):/logicity:ro" --workdir /tmp $(ALPINE) sh -c \
 	    'pip install /logicity/$(WHEELS)/*musllinux*.whl && python /logicity/python/examples/incremental.py'

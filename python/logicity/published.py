@@ -334,13 +334,13 @@ class _Stream:
 
     def read(self, count: int) -> bytes:
         if count > self.size - self.file.tell():
-            raise _Fault(f"the file is cut: it ends within a value, at byte {self.size}")
+            raise _Fault(f"the pickle is truncated: it ends within a value, at byte {self.size}")
         return self.file.read(count)
 
     def readline(self) -> bytes:
         line = self.file.readline(_BYTES_MAX)
         if not line.endswith(b"\n"):
-            raise _Fault(f"the file is cut or damaged at byte {self.file.tell()}")
+            raise _Fault(f"the pickle is truncated or damaged at byte {self.file.tell()}")
         return line
 
 
@@ -511,7 +511,7 @@ def _numbers(dtype: _DType, data: bytes | bytearray, shape: Any, order: str) -> 
     for each in shape:
         count *= each
     if count * type.itemsize != len(data) or order not in ("C", "F"):
-        raise _Fault("an array has another size than its shape says")
+        raise _Fault("the size of an array does not match its shape")
     values: NDArray[Any] = np.frombuffer(bytes(data), type)
     in_order = values.reshape(shape) if order == "C" else values.reshape(shape[::-1]).T
     return in_order.astype(type.newbyteorder("="))

@@ -201,7 +201,7 @@ impl Make {
     fn run_shard(&self, shard: Shard, sources: &mut Sources) -> Result<(), Failure> {
         let Some(path) = &self.output else {
             return Err(Failure::Usage(
-                "a shard is no file of episodes: name a file for it with `--output`".into(),
+                "`--shard` needs `--output FILE`".into(),
             ));
         };
         let Which {
@@ -325,7 +325,7 @@ pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &
     let (joined, path) = (counted(made.len(), "shard"), output.display());
     writeln!(
         said,
-        "joined {joined}; {} searched in addition",
+        "joined {joined}, and searched {} more",
         counted(usize::try_from(added).unwrap_or(0), "draw")
     )?;
     writeln!(said, "wrote {} to {path}: {}", counted(*count, "episode"), set.hash())?;

@@ -47,7 +47,7 @@ impl Drawn {
     }
 }
 
-/// What changes of a picture from tick to tick: as in the trace, the state in which the tick decides, and its actions.
+/// What changes of a picture from tick to tick: as in the trace, the state before the tick, and the actions that it chooses.
 #[derive(Clone)]
 pub struct Frame {
     pub tick: u64,
@@ -56,7 +56,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Returns the state that the next tick decides, without actions.
+    /// Returns the state before the next tick, without actions.
     pub fn before(city: &Simulation) -> Frame {
         let agents = city.agents().iter().map(|agent| {
             let sprite = Sprite::of(agent, "", None);

@@ -53,6 +53,6 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         }
         EPISODE_SHARDS => episodes::merge(&found, output, force, sources),
         QUESTION_SHARDS => questions::merge(&found, output, force, sources),
-        other => Err(shard::invalid(format!("shards of `{other}`, which this program does not know")).into()),
+        other => Err(shard::invalid(format!("unknown kind of shard `{other}`")).into()),
     }
 }

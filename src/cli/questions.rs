@@ -206,7 +206,7 @@ pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &
     let (joined, added) = (counted(made.len(), "shard"), usize::try_from(added).unwrap_or(0));
     writeln!(
         messages(&[output]),
-        "joined {joined}; {} searched in addition",
+        "joined {joined}, and searched {} more",
         counted(added, "world")
     )?;
     let rules = RulesFile {

@@ -120,7 +120,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(Failure::Usage(format!("{message}\nhelp: name a file")));
     }
     if arguments.no_pictures && arguments.video.video.is_none() && (arguments.crop || arguments.scale.is_some()) {
-        let message = "`--crop` and `--scale` cannot be used with `--no-pictures`, which omits what they change";
+        let message = "`--crop` and `--scale` have no effect with `--no-pictures`";
         return Err(Failure::Usage(format!(
             "{message}\nhelp: omit them, or write a video: `--video city.mp4`"
         )));

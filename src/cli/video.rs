@@ -60,7 +60,7 @@ impl VideoOptions {
     pub fn begin(&self, force: &ForceOption, by: &str, inputs: &Inputs) -> Result<Option<Video>, Failure> {
         let Some(path) = &self.video else { return Ok(None) };
         if is_stdout(path) {
-            let message = "a video cannot go to standard output, since its encoder must go back in the file";
+            let message = "a video cannot go to standard output, since the encoder needs a seekable file";
             return Err(Failure::Usage(format!(
                 "{message}\nhelp: name a file: `--video city.mp4`"
             )));
@@ -77,8 +77,8 @@ impl VideoOptions {
 
 /// Returns the program that encodes videos.
 fn encoder() -> Result<PathBuf, Failure> {
-    let get = "install it (Debian: `apt-get install ffmpeg`), or run `pip install './python[video]'`, whose `logicity` \
-               brings it";
+    let get = "install it (Debian: `apt-get install ffmpeg`), or run `pip install './python[video]'`, which installs \
+               a copy";
     if let Some(program) = env::var_os(ENCODER).filter(|program| !program.is_empty()) {
         let program = PathBuf::from(program);
         return match program.is_file() {

@@ -221,7 +221,7 @@ fn drawing(node: &YamlNode, faults: &mut Vec<Diagnostic>) -> Option<Arc<str>> {
             Some(place) if is_file => Span::new(source, place),
             _ => Span::new(source, start as usize..end as usize),
         };
-        let message = format!("a drawing that cannot be used: {}", fault.reason);
+        let message = format!("invalid drawing: {}", fault.reason);
         faults.push(
             Diagnostic::new(codes::INVALID_VALUE, message)
                 .at(place, "")
@@ -244,7 +244,7 @@ pub(super) fn of_concept(
         .find(|(key, node)| key.text == "picture" && !node.is_null())?;
     let concept = definition.concept().filter(|concept| !concept.is_kind)?;
     if PICTURES.contains(&(concept.of, concept.concept.as_str())) {
-        let message = format!("`{}` has a picture of its own", concept.concept);
+        let message = format!("`{}` is a built-in concept, whose picture cannot be changed", concept.concept);
         let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(key.span, "");
         faults.push(fault.help("give your own concept a picture, and this one as its `icon`"));
         return None;

@@ -5,9 +5,9 @@
 //! finish: lock folder -> rename over the target -> record the result as own -> unlock
 //! ```
 //!
-//! A temporary file is locked, on Windows open, while its process lives. So a second writer of the same file detects the first one, and
-//! the leftovers of dead processes are removed. Standard output, other open descriptors and character devices are
-//! written directly.
+//! A temporary file is locked, on Windows open, while its process lives. So a second writer of the same file detects the
+//! first one, and the leftovers of dead processes are removed. Standard output, other open descriptors and character
+//! devices are written directly.
 
 #[cfg(windows)]
 use crate::files::ERROR_SHARING_VIOLATION;

@@ -281,7 +281,7 @@ pub fn read<R: Serialize + DeserializeOwned>(text: &str, source: SourceId) -> Re
     let mut header: ShardHeader<Origin<R>> = parse(first, source, 0, "the first line of a shard")?;
     let found = std::mem::take(&mut header.sha256);
     if found != hash(&header, body.as_bytes()) {
-        let fault = invalid("the file is not as it was written: it is cut or changed");
+        let fault = invalid("the shard is truncated or modified");
         let fault = fault.at(Span::new(source, 0..first.len()), "in the shard with this first line");
         return Err(fault.help("make the shard again"));
     }

@@ -1,7 +1,7 @@
 """Releases: data sets and trained policies as folders that can be published.
 
 `release` writes both, as `logicity release` does, and `pack_policies` only policies. Each folder has a card, a license
-and checksums, and a data set also a data sheet and Croissant metadata.
+and checksums, and a data set also a datasheet and Croissant metadata.
 """
 
 from .datasets import DataSetOptions

@@ -1,4 +1,4 @@
-"""The documents of a release for people: cards with the front matter of model and data hubs, data sheets, license."""
+"""The documents of a release for people: cards with the front matter of model and data hubs, datasheets, license."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _kind(kind: str, length: int | None) -> str:
     return name if length is None else f"list of {name}" if length == 0 else f"list of {length} {name}"
 
 
-#: The sections of a data sheet, and the fields of responsible AI in each.
+#: The sections of a datasheet, and the fields of responsible AI in each.
 _SECTIONS = {
     "Motivation": {"For what the data was made": "dataUseCases"},
     "Composition": {
@@ -97,7 +97,7 @@ _SECTIONS = {
 
 
 def data_sheet(about: About, sizes: str) -> str:
-    """Return the data sheet of a data set: the questions of Gebru et al. (2021) that apply to simulated data."""
+    """Return the datasheet of a data set: the questions of Gebru et al. (2021) that apply to simulated data."""
     parts = [f"# Data sheet: {about.title}", about.description, sizes]
     for section, questions in _SECTIONS.items():
         answers = []

@@ -63,7 +63,7 @@ def release(
 ) -> Release:
     """Write a release, or resume an interrupted call.
 
-    A data set has a card, a data sheet, Croissant metadata, a license and checksums beside its data. Its data depends
+    A data set has a card, a datasheet, Croissant metadata, a license and checksums beside its data. Its data depends
     only on `options`. Complete data sets are kept, and files of an interrupted call too.
 
     Args:
