@@ -7,8 +7,8 @@ use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
-use crate::cli::terminal;
 use crate::cli::values::{ShardOption, integer, one_of};
+use crate::cli::{merge, terminal};
 use crate::diag::{Diagnostic, SourceId, Sources, counted};
 use crate::files;
 use crate::task::shard::{self, Origin, Shard};
@@ -200,9 +200,7 @@ impl Make {
     /// Writes a shard.
     fn run_shard(&self, shard: Shard, sources: &mut Sources) -> Result<(), Failure> {
         let Some(path) = &self.output else {
-            return Err(Failure::Usage(
-                "`--shard` needs `--output FILE`".into(),
-            ));
+            return Err(Failure::Usage("`--shard` needs `--output FILE`".into()));
         };
         let Which {
             config,
@@ -210,6 +208,7 @@ impl Make {
             rules,
             limits,
         } = &self.which;
+        merge::refuse_undecodable(config, rules.as_deref())?;
         let city = load_city(sources, config, rules.as_deref(), limits)?;
         let rules_hash = city.rules_hash.clone();
         let task = Arc::new(SpfTask::new(Arc::new(city.world()?), sources)?);
@@ -283,7 +282,12 @@ impl Make {
 }
 
 /// Joins the shards in some files, for `logicity merge`.
-pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &mut Sources) -> Result<(), Failure> {
+pub fn merge(
+    shards: &[SourceId],
+    output: &Path,
+    (force, limits): (&ForceOption, &LimitOptions),
+    sources: &mut Sources,
+) -> Result<(), Failure> {
     let header = |&source: &SourceId| {
         let header = shard::read::<Requested>(sources.text(source), source)?.header;
         Ok::<_, Diagnostic>((sources.name(source).to_owned(), header.shard, header.origin))
@@ -291,12 +295,7 @@ pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &
     let known: Vec<_> = shards.iter().map(header).collect::<Result<_, _>>()?;
     let order = shard::in_order(&known)?;
     let origin = &known[0].2;
-    let city = load_city(
-        sources,
-        &origin.config,
-        origin.rules.as_deref(),
-        &LimitOptions::default(),
-    )?;
+    let city = load_city(sources, &origin.config, origin.rules.as_deref(), limits)?;
     origin.check(&city.scenario.hash, &city.rules_hash)?;
     let Requested { split, count, seed } = &origin.request;
     let split = Split::ALL.into_iter().find(|known| known.name() == split);

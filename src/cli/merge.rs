@@ -2,14 +2,15 @@
 
 use crate::cli::failure::Failure;
 use crate::cli::inputs::read;
-use crate::cli::limits::MemoryOption;
+use crate::cli::limits::LimitOptions;
 use crate::cli::outputs::ForceOption;
 use crate::cli::{episodes, questions, vap};
 use crate::diag::Sources;
 use crate::task::questions::QUESTION_SHARDS;
 use crate::task::shard;
 use crate::task::spf::EPISODE_SHARDS;
-use std::path::PathBuf;
+use std::iter;
+use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -23,12 +24,26 @@ pub struct Arguments {
     #[command(flatten)]
     force: ForceOption,
     #[command(flatten)]
-    _memory: MemoryOption,
+    limits: LimitOptions,
+}
+
+/// Fails if a shard could not name the configuration or the rules, since its first line is JSON.
+pub fn refuse_undecodable(config: &Path, rules: Option<&Path>) -> Result<(), Failure> {
+    match iter::once(config).chain(rules).find(|path| path.to_str().is_none()) {
+        Some(path) => Err(Failure::Usage(format!(
+            "a shard cannot name `{}`, which is not UTF-8\nhelp: rename it",
+            path.display()
+        ))),
+        None => Ok(()),
+    }
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let Arguments {
-        shards, output, force, ..
+        shards,
+        output,
+        force,
+        limits,
     } = arguments;
     let folders = shards.iter().filter(|path| path.is_dir()).count();
     if folders == shards.len() {
@@ -51,8 +66,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             let message = "some of the shards are of episodes, and some of questions: join those of one data set";
             Err(shard::invalid(message).into())
         }
-        EPISODE_SHARDS => episodes::merge(&found, output, force, sources),
-        QUESTION_SHARDS => questions::merge(&found, output, force, sources),
+        EPISODE_SHARDS => episodes::merge(&found, output, (force, limits), sources),
+        QUESTION_SHARDS => questions::merge(&found, output, (force, limits), sources),
         other => Err(shard::invalid(format!("unknown kind of shard `{other}`")).into()),
     }
 }

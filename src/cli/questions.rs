@@ -7,8 +7,8 @@ use crate::cli::inputs::Inputs;
 use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, is_stdout, messages, print_others, refuse_mixing, unwritable};
-use crate::cli::terminal;
 use crate::cli::values::{ShardOption, integer, one_of};
+use crate::cli::{merge, terminal};
 use crate::diag::{Diagnostic, SourceId, Sources, counted};
 use crate::files::{Output, make_folder};
 use crate::render::{Difficulty, Icons, write_png};
@@ -124,6 +124,7 @@ impl Arguments {
         let Some(path) = &self.output else {
             return Err(Failure::Usage("name a file for the shard with `--output`".into()));
         };
+        merge::refuse_undecodable(&self.config, self.rules.as_deref())?;
         let city = load_city(sources, &self.config, self.rules.as_deref(), &self.limits)?;
         let request = self.request();
         let origin = Origin {
@@ -163,7 +164,12 @@ fn faults_of_request(faults: Vec<Diagnostic>) -> Failure {
 }
 
 /// Joins the shards in some files, for `logicity merge`.
-pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &mut Sources) -> Result<(), Failure> {
+pub fn merge(
+    shards: &[SourceId],
+    output: &Path,
+    (force, limits): (&ForceOption, &LimitOptions),
+    sources: &mut Sources,
+) -> Result<(), Failure> {
     let header = |&source: &SourceId| {
         let header = shard::read::<RequestRecord>(sources.text(source), source)?.header;
         Ok::<_, Diagnostic>((sources.name(source).to_owned(), header.shard, header.origin))
@@ -176,12 +182,7 @@ pub fn merge(shards: &[SourceId], output: &Path, force: &ForceOption, sources: &
         Style::Picture => Some(picture_folder(Some(output))?),
         _ => None,
     };
-    let city = load_city(
-        sources,
-        &origin.config,
-        origin.rules.as_deref(),
-        &LimitOptions::default(),
-    )?;
+    let city = load_city(sources, &origin.config, origin.rules.as_deref(), limits)?;
     origin.check(&city.scenario.hash, &city.rules_hash)?;
     let (rule_file, hash) = (city.rule_files[0], city.rules_hash.clone());
     let world = Arc::new(city.world()?);

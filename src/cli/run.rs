@@ -13,12 +13,13 @@ use crate::cli::outputs::{ForceOption, finish, is_stdout, refuse_stdout_as_folde
 use crate::cli::report::{agents_in_words, report};
 use crate::cli::values::{integer, one_of, scale, threads};
 use crate::cli::video::{CROP_MARGIN, Part, Traces, VideoOptions};
-use crate::cli::{signals, terminal};
+use crate::cli::{signals, terminal, video};
 use crate::datalog::constraints;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
 use crate::diag::{self, Diagnostic, SourceId, Sources, counted};
 use crate::files::{Output, make_folder, remove_own};
+
 use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Extent, Icons, Overview, Scale, write_png};
 use crate::rng::Seed;
@@ -178,7 +179,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         _ => Ok(()),
     };
     let video = match (video, written.first().cloned()) {
-        (Some(video), Some(trace)) => {
+        (Some(video), Some(trace)) if tally.ticks > 0 => {
             let part = Part {
                 crop: arguments.crop,
                 scale: arguments.scale,
@@ -189,7 +190,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
                 range: (0, u64::MAX),
             };
             video
-                .write(&traces, part, &arguments.icons)
+                .write(&traces, part, &arguments.icons, &cancel)
                 .map(|path| written.push(path))
         }
         _ => Ok(()),
@@ -228,6 +229,10 @@ fn refuse_large_outputs(arguments: &Arguments, ticks: u64, agents: usize) -> Res
         return Err(fault
             .help("omit `--html` and write a page of some ticks: `logicity view TRACE --from N --ticks N`")
             .into());
+    }
+    if arguments.video.video.is_some() {
+        let help = "omit `--video` and make one of some ticks: `logicity view TRACE --video FILE --from N --ticks N`";
+        video::refuse_large(decisions, help)?;
     }
     Ok(())
 }

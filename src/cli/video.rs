@@ -1,5 +1,6 @@
 //! Videos of runs, which the program ffmpeg encodes.
 
+use crate::cancel::Cancel;
 use crate::city::codes;
 use crate::cli::failure::Failure;
 use crate::cli::frames::{Drawn, Frame};
@@ -10,7 +11,7 @@ use crate::cli::terminal;
 use crate::cli::trace::TraceReader;
 use crate::cli::values::integer;
 use crate::datalog::Limits;
-use crate::diag::{Diagnostic, Sources};
+use crate::diag::{self, Diagnostic, Sources};
 use crate::files::Output;
 use crate::render::{Extent, Marked, Overview, Scale, beside};
 use crate::rng::Seed;
@@ -26,6 +27,9 @@ const ENCODER: &str = "LOGICITY_FFMPEG";
 
 /// The number of cells between the agents and the edge of a cropped picture, so that their icons and labels fit.
 pub const CROP_MARGIN: u32 = 4;
+
+/// The most decisions, agents times ticks, of a video: all are in memory, since an agent faces its next move.
+pub const DECISIONS_MAX: u64 = 4_000_000;
 
 /// The options that make a video.
 #[derive(clap::Args)]
@@ -122,11 +126,25 @@ pub struct Traces<'a> {
 
 impl Video {
     /// Writes the video of a trace, or of several side by side.
-    pub fn write(self, traces: &Traces<'_>, part: Part, icons: &IconOptions) -> Result<PathBuf, Failure> {
+    ///
+    /// # Errors
+    /// [`Failure::Interrupted`] if `cancel` is requested.
+    pub fn write(
+        self,
+        traces: &Traces<'_>,
+        part: Part,
+        icons: &IconOptions,
+        cancel: &Cancel,
+    ) -> Result<PathBuf, Failure> {
         let mut shown = Vec::new();
         for (number, (path, files)) in traces.files.iter().enumerate() {
             let name = traces.names.get(number).map_or("", String::as_str);
-            shown.push(load(path, *files, traces.range, name, part, icons)?);
+            let mut sources = Sources::new();
+            shown.push(load(path, *files, &mut sources, traces.range, name, part, icons)?);
+            if files.iter().any(Option::is_some) {
+                // The files that these name are known only now.
+                Inputs::of(&sources).refuse(&self.path)?;
+            }
         }
         let first = shown.iter().map(|run| run.frames[0].tick).max().unwrap_or(0);
         let end = |run: &Shown| run.frames[0].tick + run.frames.len() as u64;
@@ -157,12 +175,21 @@ impl Video {
                     speed,
                 )?),
             };
-            encoder.push(picture.pixels())?;
+            let pushed = encoder.push(picture.pixels());
+            // The encoder gets the same signal, and may end first.
+            if cancel.requested() {
+                return Err(Failure::Interrupted);
+            }
+            pushed?;
             bar.inc(1);
         }
         bar.finish_and_clear();
         if let Some(encoder) = encoder {
-            encoder.finish()?;
+            let finished = encoder.finish();
+            if cancel.requested() {
+                return Err(Failure::Interrupted);
+            }
+            finished?;
         }
         finish(out, &path)?;
         Ok(path)
@@ -195,16 +222,26 @@ fn frames_of(shown: &[Shown], tick: u64) -> Vec<crate::render::Picture> {
     shown.iter().map(draw).collect()
 }
 
+/// Fails if a video of so many decisions would need too much memory.
+pub fn refuse_large(decisions: u64, help: &str) -> Result<(), Failure> {
+    if decisions <= DECISIONS_MAX {
+        return Ok(());
+    }
+    let message = format!("a video of {decisions} decisions would be too large; the limit is {DECISIONS_MAX}");
+    Err(Diagnostic::new(diag::codes::LIMIT_EXCEEDED, message).help(help).into())
+}
+
 fn load(
     path: &Path,
     [config, rules]: [Option<&Path>; 2],
+    sources: &mut Sources,
     (from, most): (u64, u64),
     name: &str,
     part: Part,
     icons: &IconOptions,
 ) -> Result<Shown, Failure> {
     let mut reader = TraceReader::open(path)?;
-    let replay = reader.replay(&mut Sources::new(), config, rules, true, Limits::default())?;
+    let replay = reader.replay(sources, config, rules, true, Limits::default())?;
     let mut ticks = Vec::new();
     while (ticks.len() as u64) < most
         && let Some(tick) = reader.tick()?
@@ -216,6 +253,8 @@ fn load(
         }
         if tick.tick >= from {
             ticks.push(tick);
+            let decisions = (ticks.len() as u64).saturating_mul(reader.header.agents.len() as u64);
+            refuse_large(decisions, "make a video of some ticks: `--from N --ticks N`")?;
         }
     }
     if ticks.is_empty() {
@@ -252,6 +291,14 @@ fn load(
     })
 }
 
+/// Returns a path that the encoder does not read as an address: `10:00/city.mp4` would name a protocol.
+fn plain_path(file: &Path) -> PathBuf {
+    match file.is_absolute() {
+        true => file.to_owned(),
+        false => Path::new(".").join(file),
+    }
+}
+
 /// The running encoder. Dropping it ends the process.
 struct Encoder {
     program: PathBuf,
@@ -282,7 +329,7 @@ impl Encoder {
             .args(input)
             .args(output)
             .args(["-fflags", "+bitexact", "-f", "mp4", "-y"])
-            .arg(file)
+            .arg(plain_path(file))
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())

@@ -1,5 +1,6 @@
 //! `logicity view`: writes an HTML page of a trace, or of two traces side by side.
 
+use crate::cancel::Cancel;
 use crate::cli::failure::Failure;
 use crate::cli::icons::IconOptions;
 use crate::cli::inputs::Inputs;
@@ -73,6 +74,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             return Err(Failure::Usage(message));
         }
     }
+    if output.is_some() && arguments.video.video.is_some() && traces.iter().any(|trace| !trace.is_file()) {
+        let message = "a page and a video read the trace twice, which a pipe does not allow";
+        return Err(Failure::Usage(format!("{message}\nhelp: write the trace to a file")));
+    }
     let inputs = Inputs::new(traces.clone()).with(icons.files());
     let inputs = inputs.with(arguments.config.iter().chain(&arguments.rules).cloned());
     let page = output
@@ -129,7 +134,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             crop: arguments.crop,
             scale: arguments.scale,
         };
-        let path = video.write(&shown, part, icons)?;
+        let path = video.write(&shown, part, icons, &Cancel::never())?;
         writeln!(out, "wrote {}", path.display())?;
     }
     Ok(())

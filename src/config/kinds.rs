@@ -84,9 +84,11 @@ fn kind<'n>(key: &Key, node: &'n YamlNode, found: &mut Kinds<'n>, faults: &mut V
     let order = (fields.optional("priority"), fields.optional("default"));
     let usual = "`of: Car` drives on streets, `of: Pedestrian` walks on sidewalks";
     fields.close_with(Some(usual), faults);
-    let (Some(of), Some(cells), Some(look)) = (of, cells, look) else {
+    let (Some(of), Some(cells)) = (of, cells) else {
         return;
     };
+    // A kind with a faulty picture is known, so that its uses are no further faults.
+    let look = look.unwrap_or_default();
     let kind = match standard {
         Some(kind) => {
             found.table.set_cells(kind.into(), cells);

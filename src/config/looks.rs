@@ -244,7 +244,10 @@ pub(super) fn of_concept(
         .find(|(key, node)| key.text == "picture" && !node.is_null())?;
     let concept = definition.concept().filter(|concept| !concept.is_kind)?;
     if PICTURES.contains(&(concept.of, concept.concept.as_str())) {
-        let message = format!("`{}` is a built-in concept, whose picture cannot be changed", concept.concept);
+        let message = format!(
+            "`{}` is a built-in concept, whose picture cannot be changed",
+            concept.concept
+        );
         let fault = Diagnostic::new(codes::INVALID_VALUE, message).at(key.span, "");
         faults.push(fault.help("give your own concept a picture, and this one as its `icon`"));
         return None;

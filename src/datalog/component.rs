@@ -258,11 +258,25 @@ impl<'i> Maker<'i, '_> {
                 return Some(found);
             }
             if seen.insert(at) {
-                let bases = component.bases.iter().rev();
-                open.extend(bases.filter_map(|base| self.around(&base.name.text, *parent)));
+                let bases = component.bases.iter().rev().map(|base| base.name.text.as_str());
+                let named = bases.filter(|base| !self.is_parameter(base, at));
+                open.extend(named.filter_map(|base| self.around(base, *parent)));
             }
         }
         None
+    }
+
+    /// Returns whether a name is a parameter of a component or of those around it.
+    fn is_parameter(&self, name: &str, of: usize) -> bool {
+        let mut scope = Some(of);
+        while let Some(at) = scope {
+            let Definition { component, parent, .. } = &self.definitions[at];
+            if component.parameters.iter().any(|parameter| parameter.text == name) {
+                return true;
+            }
+            scope = *parent;
+        }
+        false
     }
 
     /// Returns the component of this name in a component or in those around it.

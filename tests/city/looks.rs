@@ -170,7 +170,10 @@ fn faulty_pictures_have_messages_with_places() {
         ))
     };
     let message = define("    IsBus: {picture: {color: red}}\n");
-    assert!(message.contains("`bus` is a built-in concept, whose picture cannot be changed"), "{message}");
+    assert!(
+        message.contains("`bus` is a built-in concept, whose picture cannot be changed"),
+        "{message}"
+    );
     let message = define("    IsX: {near: House, within: 5, picture: bus}\n");
     assert!(message.contains("only a concept has a `picture`"), "{message}");
     let message =

@@ -85,6 +85,12 @@ const PAIRS: &[(&str, &str)] = &[
          .output n_p, n_i_q, l_p, l_i_q, l_j_q, n_o_r, l_o_r\nn_p(1). l_p(1). n_o_r(\"a\"). l_o_r(\"a\").\n\
          n_i_q(x) :- n_p(x). l_i_q(x) :- l_p(x). l_j_q(x) :- l_p(x).\n",
     ),
+    // The components of a base that is a parameter do not count, also where a component has the name of the parameter.
+    (
+        ".comp T { .comp In { .decl p(x: number) .output p\n p(1). } }\n.comp In { .decl p(x: number) .output p\n p(2). }\n\
+         .comp U { .decl q(x: number) q(3). }\n.comp A<T> : T { .init x = In }\n.init a = A<U>\n",
+        ".decl a_x_p(x: number)\n.output a_x_p\na_x_p(2).\n",
+    ),
     // A component may override what a parameter of it declares, and may declare a type that a parameter names.
     (
         ".comp M { .decl p(x: symbol) .output p\n p(\"m\"). }\n.comp X<T, U> : T { .override p\n p(\"x\"). .type U <: number\n .decl q(x: U) .output q\n q(1). }\n\

@@ -19,13 +19,7 @@ fn succeeds(folder: &Path, arguments: &[&str]) -> String {
 }
 
 fn fails(folder: &Path, arguments: &[&str], code: i32, words: &[&str]) {
-    let output = run(folder, arguments);
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
-    assert!(!said.contains("panicked"), "{said}");
-    for word in words {
-        assert!(said.contains(word), "`{word}` is missing in:\n{said}");
-    }
+    crate::cli::fails(&run(folder, arguments), code, words);
 }
 
 /// The content of a file, or of all files in a folder.
@@ -161,6 +155,10 @@ fn only_complete_and_unchanged_shards_are_joined() {
         assert!(!folder.join("whole").exists());
     };
     refused(&["one"], &["error[invalid-shard]: shard 2/2 is missing"]);
+    // Joining has the limits of making.
+    let limited = ["merge", "one", "two", "--output", "whole", "--max-rows", "1"];
+    fails(folder, &limited, 1, &["limit-exceeded", "--max-rows"]);
+    assert!(!folder.join("whole").exists());
     refused(&["one", "one", "two"], &["`one` and `one` are both shard 1/2"]);
     refused(&["one", "other"], &["`other` and `one` are of different data sets"]);
     let [first, text] = ["one", "two"].map(|name| fs::read_to_string(folder.join(name)).unwrap());

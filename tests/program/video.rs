@@ -133,6 +133,27 @@ fn the_encoder_gets_a_frame_for_each_tick() {
 }
 
 #[test]
+fn videos_are_refused_before_the_run_that_they_would_lose() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let encoder = script(folder, "encoder", COPY);
+    let run = ["run", "easy", "--no-pictures", "--ticks"];
+    let large = [&run[..], &["1000000", "--video", "city.mp4"]].concat();
+    let words = ["limit-exceeded", "a video of", "--from N --ticks N"];
+    fails(&logicity(folder, &large, Some(&encoder)), 1, &words);
+    assert!(!folder.join("out").exists());
+    // A path with a colon is a path, and not an address.
+    fs::create_dir(folder.join("10:00")).unwrap();
+    let small = [&run[..], &["2", "--scale", "1", "--video", "10:00/city.mp4"]].concat();
+    let output = logicity(folder, &small, Some(&encoder));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let arguments = fs::read_to_string(folder.join("arguments")).unwrap();
+    assert!(arguments.trim_end().rsplit(' ').next().unwrap().starts_with("./10:00/"), "{arguments}");
+    let view = ["view", "/dev/null", "-o", "page.html", "--video", "city.mp4"];
+    fails(&logicity(folder, &view, Some(&encoder)), 2, &["a pipe does not allow"]);
+}
+
+#[test]
 fn a_missing_or_failing_encoder_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

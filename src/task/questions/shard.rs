@@ -6,7 +6,7 @@ use crate::sim::{Facts, World};
 use crate::task::questions::mix::Category;
 use crate::task::questions::{
     CATEGORY_WORLDS, Extent, Known, Mix, Prompt, QUESTIONS_MAX, Question, QuestionSearch, Request, SHOTS_MAX, Source,
-    Style, WORLDS, check, demonstrations,
+    Style, TICKS, WORLDS, check, demonstrations,
 };
 use crate::task::shard::{self, Origin, Shard, ShardText};
 use serde::{Deserialize, Serialize};
@@ -141,6 +141,7 @@ impl Line {
                 }
         };
         let faultless = self.ego < entities
+            && self.tick < TICKS
             && self.agents.iter().all(|&agent| agent < set.map_or(0, AgentSet::len))
             && self.facts.len() == predicates.len()
             && (self.facts.iter().zip(predicates)).all(|(rows, predicate)| {
