@@ -46,7 +46,7 @@ FILE = re.compile(r"^(?://|#) file: (\S+)$")
 def run(*arguments: str, folder: str | None = None) -> str:
     """Return the standard output of a `logicity` command."""
     command = [sys.executable, "-m", "logicity", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True, cwd=folder).stdout
+    return subprocess.run(command, capture_output=True, encoding="utf-8", check=True, cwd=folder).stdout
 
 
 # --- commands
@@ -230,7 +230,7 @@ def said_about(example: dict[str, str], command: str | None) -> str:
         search = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
         environment = {**os.environ, "PATH": search}
         done = subprocess.run(
-            ["sh", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
+            ["sh", "-c", command], cwd=folder, env=environment, capture_output=True, encoding="utf-8", check=False
         )
     return (done.stderr or done.stdout).strip()
 

@@ -9,12 +9,19 @@ from typing import Any, cast
 from .errors import extra
 from .signals import kept_handlers
 
-__all__ = ["ONE_THREAD", "RETRIES", "connect"]
+__all__ = ["ONE_THREAD", "RETRIES", "check_jobs", "connect"]
 
 #: The largest number of times that a cell runs again because its worker is lost.
 RETRIES = 20
 #: The environment variables that give a process one thread. Cells and worlds run in parallel.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+
+def check_jobs(jobs: int | None, address: str | None) -> None:
+    """Raise `ValueError` if a number of jobs would have no effect: an existing Ray cluster has its own workers."""
+    if jobs is not None and address not in (None, "local"):
+        help = f"omit it, or give `--ray` without `{address}` for a new cluster"
+        raise ValueError(f"--jobs: the Ray cluster at `{address}` determines the number of workers\nhelp: {help}")
 
 
 def connect(address: str, workers: int | None = None) -> ModuleType:
@@ -26,7 +33,9 @@ def connect(address: str, workers: int | None = None) -> ModuleType:
     Raises:
         ConnectionError: If the cluster does not answer.
         ImportError: If Ray is not installed.
+        ValueError: If there is a number of workers for another address.
     """
+    check_jobs(workers, address)
     with extra("ray"):
         import ray
     _check_listening(address)

@@ -21,7 +21,8 @@ from typing import Any, NoReturn, cast
 import numpy as np
 
 from . import _logicity
-from .errors import InputError, UntrustedError, extra
+from .cluster import check_jobs
+from .errors import CommandError, InputError, UntrustedError, extra
 from .evaluation import Benchmark, Evaluation, Interval, Policy, Progress, Shape, action_table, model_shape, table
 from .figures import ENDINGS, plot_returns
 from .files import check_writable, write_json
@@ -64,6 +65,8 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     except (_UsageError, ValueError, ImportError, OSError) as error:
         # The message of an `InputError` begins with `error[CODE]`.
         print_message(error if isinstance(error, InputError) else f"error: {_described(error)}")
+        if isinstance(error, CommandError):
+            return error.code
         return 1 if isinstance(error, ValueError) and not isinstance(error, UntrustedError) else 2
     return code
 
@@ -195,7 +198,8 @@ def _add_experiment(to: _Parser) -> None:
         "experiment, for example models.NAME.url=http://localhost:8000/v1"
     )
     to.add("--set", type=_assignment, action="append", default=[], metavar="KEY=VALUE", help=help)
-    to.add("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
+    help = "processes; default: the number of processors; the Ray cluster at ADDRESS has its own number"
+    to.add("--jobs", type=_positive, metavar="N", help=help)
     where = "at ADDRESS, or on a new one on this machine with as many workers as `--jobs`"
     to.add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"run the cells on the Ray cluster {where}")
     _add_wandb(to)
@@ -251,7 +255,11 @@ def _add_import_episodes(to: _Parser) -> None:
 
 def _add_shards(to: _Parser) -> None:
     to.add("count", type=_positive, metavar="N", help="the number of shards")
-    to.add("--jobs", type=_positive, metavar="N", help="processes; default: the number of processors")
+    help = (
+        "processes, or simultaneous jobs of Slurm; default: the number of processors, or what Slurm permits; the Ray "
+        "cluster at ADDRESS has its own number"
+    )
+    to.add("--jobs", type=_positive, metavar="N", help=help)
     where = "at ADDRESS, whose machines share the folder, or on a new one on this machine"
     to.add("--ray", nargs="?", const="local", metavar="ADDRESS", help=f"make the shards on the Ray cluster {where}")
     help = (
@@ -658,7 +666,7 @@ def _usage() -> Iterator[None]:
     """Report options that do not fit each other as faulty usage."""
     try:
         yield
-    except InputError:
+    except (CommandError, InputError):
         raise
     except ValueError as error:
         raise _UsageError(str(error)) from error
@@ -873,6 +881,8 @@ def _experiment(given: argparse.Namespace) -> int:
     from .experiments.results import compare, submit
     from .learn.faults import merged
 
+    with _usage():
+        check_jobs(given.jobs, given.ray)
     changes: dict[str, object] = reduce(merged, given.set, {})
     rows = {"learners": changes.pop("learners")} if "learners" in changes else {}
     try:
@@ -925,6 +935,7 @@ def _release(given: argparse.Namespace) -> int:
     from .experiments.results import read_results
     from .release import DataSetOptions, release
     from .release.policies import ResultsFile
+    from .release.write import selected_sets
 
     _check_folder("FOLDER", given.folder)
     if given.only is not None and "policies" in given.only and not given.results:
@@ -942,6 +953,7 @@ def _release(given: argparse.Namespace) -> int:
             threads=given.threads,
             **({} if given.modes is None else {"modes": tuple(given.modes)}),
         )
+        selected_sets(given.only, options)
     results = [
         ResultsFile(file, given.runs / str(read_results(file)["experiment"]))
         for file in map(_existing, given.results or [])

@@ -379,7 +379,7 @@ def _learn(train: Sequence[_Example], words: _Words, settings: Settings) -> dict
         # The command limits the memory of its process, which must not be this one.
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
         command = [sys.executable, "-m", "logicity", *arguments]
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, encoding="utf-8", check=False)
         if done.returncode != 0:
             raise ValueError(f"the learner failed: {neutral(done.stderr.strip())}")
         learned: dict[str, Any] = json.loads(Path(folder, "report.json").read_text(encoding="utf-8"))

@@ -55,6 +55,24 @@ class PredicateError(RuntimeError):
     """
 
 
+class CommandError(ValueError):
+    """A command in another process that fails.
+
+    Attributes:
+        code: The exit code of the command; after a signal, 128 and its number, as in shells.
+    """
+
+    def __init__(self, message: str, code: int) -> None:
+        """Store the message, usually that of the command, and the exit code."""
+        # Pickles of exceptions have these arguments.
+        super().__init__(message, code)
+        self.code = code if code >= 0 else 128 - code
+
+    def __str__(self) -> str:
+        """Return the message."""
+        return str(self.args[0])
+
+
 class UntrustedError(ValueError):
     """A file that can run any code when it is loaded, without the caller's trust in it."""
 

@@ -149,6 +149,7 @@ def write_safetensors(path: str | os.PathLike[str], content: Any) -> None:
     Raises:
         ImportError: If safetensors, which the extra `learn` installs, is missing.
         TypeError: If a value is neither a tensor nor plain data.
+        ValueError: If two tensors get the same name in the file, as in `{1: a, "1": b}`.
     """
     with extra("learn"):
         import safetensors.torch
@@ -170,6 +171,8 @@ def _without_tensors(value: Any, name: str, tensors: dict[str, Any]) -> Any:
 
     if isinstance(value, torch.Tensor):
         # Names of values in lists and mappings, such as `weights.actor.0.bias`.
+        if name in tensors:
+            raise ValueError(f"two tensors have the name `{name}`: rename a key of their mappings")
         tensors[name] = value.detach().cpu().contiguous().clone()
         return {"$tensor": name}
     if value is None or isinstance(value, (bool, int, float, str)):

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from .errors import checked_path
 from .evaluation import Benchmark, EpisodeRecord
-from .files import check_readable, write_text
+from .files import check_readable, check_writable, write_text
 from .modes import checked_mode
 from .shards import run_command
 from .terminal import neutral
@@ -114,10 +114,11 @@ def import_episodes(
         ValueError: If the pickle is damaged, has other content, or would run code; or the mode is unknown.
     """
     name = checked_mode(mode)
+    check_writable(output, by="import-episodes", overwrite=overwrite)
     episodes = read_published(file)
     # The header has the map and the agents in the order of the split.
     drawn = run_command(["episodes", "make", name, "--split", split, "--count", "1", "--output", "-"])
-    header = {**json.loads(drawn.splitlines()[0]), "seed": seed}
+    header = {**json.loads(drawn.partition("\n")[0]), "seed": seed}
     lines = [_line(episode, header["agents"], seed, file) for episode in episodes]
     runs = _oracle(name, split, header, lines)
     solved = recorded = equal = 0
@@ -224,7 +225,12 @@ def _agent(where: str, name: Any, value: Any) -> PublishedAgent:
     concepts = _entry(value, "concepts", dict, where)
     if not all(isinstance(concept, str) for concept in concepts):
         raise _Fault(f"{where}: expected the names of concepts as keys")
-    held = (concept for concept, given in concepts.items() if concept not in ("type", "priority") and _is_true(given))
+    held = (
+        concept
+        for concept, given in concepts.items()
+        if concept not in ("type", "priority")
+        and _is_true(given, f"{where}, concept `{neutral(concept[:100], lines=False)}`")
+    )
     return PublishedAgent(
         name,
         tuple(held),
@@ -234,8 +240,16 @@ def _agent(where: str, name: Any, value: Any) -> PublishedAgent:
     )
 
 
-def _is_true(value: Any) -> bool:
-    return bool(value.item() if isinstance(value, np.generic) else value) if not isinstance(value, _Opaque) else False
+def _is_true(value: Any, where: str) -> bool:
+    truth = _single(value)
+    if not isinstance(truth, (bool, int, float)):
+        raise _Fault(f"{where}: expected a truth value or a number, not {_shown(value)}")
+    return bool(truth)
+
+
+def _single(value: Any) -> Any:
+    """Return the number in a scalar or an array of NumPy with one element, and other values as they are."""
+    return value.item() if isinstance(value, (np.generic, np.ndarray)) and value.size == 1 else value
 
 
 def _entry(value: Any, key: str, kind: type, where: str) -> Any:
@@ -247,7 +261,7 @@ def _entry(value: Any, key: str, kind: type, where: str) -> Any:
 
 
 def _whole(value: Any, where: str) -> int:
-    number = value.item() if isinstance(value, (np.generic, np.ndarray)) and value.size == 1 else value
+    number = _single(value)
     if isinstance(number, bool) or not isinstance(number, int) or not -(2**31) <= number < 2**31:
         raise _Fault(f"{where}: expected an integer, not {_shown(value)}")
     return number
@@ -289,9 +303,9 @@ class _Callable:
 
 
 class _Array:
-    """An array of NumPy whose state follows."""
+    """An array of NumPy whose state follows. A pickle can refer to it again afterwards, and means its values."""
 
-    values: NDArray[Any] | None = None
+    values: NDArray[Any] | _Opaque | None = None
 
 
 class _DType:
@@ -366,7 +380,7 @@ class _Machine:
         except _Fault as fault:
             message = str(fault)
             raise _Fault(message if "byte" in message else f"{message}, at byte {place}") from None
-        except (ValueError, IndexError, KeyError, TypeError, OverflowError, UnicodeError) as error:
+        except (ValueError, IndexError, KeyError, TypeError, OverflowError, RecursionError, UnicodeError) as error:
             raise _Fault(f"it is not a pickle, or damaged, at byte {place}: {neutral(str(error))[:200]}") from None
 
     def _step(self, name: str, argument: Any) -> None:
@@ -387,7 +401,8 @@ class _Machine:
         elif name in ("PUT", "BINPUT", "LONG_BINPUT"):
             self.memo[argument] = stack[-1]
         elif name in ("GET", "BINGET", "LONG_BINGET"):
-            stack.append(self.memo[argument])
+            value = self.memo[argument]
+            stack.append(value.values if isinstance(value, _Array) and value.values is not None else value)
         elif name == "POP":
             stack.pop()
         elif name in _TUPLES:
@@ -402,10 +417,13 @@ class _Machine:
             self._top(list).append(value)
         elif name == "SETITEM":
             value, key = stack.pop(), stack.pop()
-            self._top(dict)[key] = value
+            self._top(dict)[_key(key)] = value
         elif name in ("GLOBAL", "STACK_GLOBAL"):
             if name == "STACK_GLOBAL":
                 attribute, module = stack.pop(), stack.pop()
+                # Other values can be too large to print: a list can contain another one often, and so on.
+                if not isinstance(module, str) or not isinstance(attribute, str):
+                    raise _Fault(f"it names a function by {_shown(module)} and {_shown(attribute)}, not by two strings")
                 argument = f"{module} {attribute}"
             stack.append(_named(argument))
         elif name == "REDUCE":
@@ -443,7 +461,7 @@ class _Machine:
             target = {} if name == "DICT" else self._top(dict)
             if len(values) % 2:
                 raise ValueError("a key without a value")
-            target.update(zip(values[::2], values[1::2], strict=True))
+            target.update(zip(map(_key, values[::2]), values[1::2], strict=True))
             if name == "DICT":
                 self.stack.append(target)
 
@@ -456,6 +474,13 @@ _PUSHED = {
 _CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
 _CREATED: dict[str, Callable[[], Any]] = {"EMPTY_DICT": dict, "EMPTY_LIST": list, "EMPTY_TUPLE": tuple}
 _TUPLES = {"TUPLE1": 1, "TUPLE2": 2, "TUPLE3": 3}
+
+
+def _key(value: Any) -> int | str:
+    """Return a key of a dictionary. Hashing other values can take forever, or overflow the stack of C."""
+    if not isinstance(value, (int, str)):
+        raise _Fault(f"expected an integer or a string as a key of a dictionary, not {_shown(value)}")
+    return value
 
 
 def _named(name: str) -> _Callable:
@@ -478,6 +503,8 @@ def _call(name: str, arguments: tuple[Any, ...]) -> Any:
             return _numbers(dtype, data, (), "C")[()]
         case "buffer", (bytes() | bytearray() as data, _DType() as dtype, shape, str(order)):
             return _numbers(dtype, data, shape, order)
+        case "buffer", (_Opaque(), _DType(), _, str()):
+            return _Opaque("array")
         case "tensor", _:
             return _Opaque("tensor")
         case "storage", _:
@@ -499,7 +526,8 @@ def _built(value: Any, state: Any) -> Any:
             value.values = _numbers(dtype, data, shape, "F" if fortran else "C")
             return value.values
         case _Array(), (int(), _, _DType(), _, _Opaque()):
-            return _Opaque("array")
+            value.values = _Opaque("array")
+            return value.values
     raise _Fault("it gives a value a state that the files of the published program do not have")
 
 

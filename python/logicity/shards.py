@@ -8,15 +8,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .cluster import ONE_THREAD, RETRIES, connect
-from .errors import extra
+from .cluster import ONE_THREAD, RETRIES, check_jobs, connect
+from .errors import CommandError, extra
 from .files import json_text, read_json, write_text
 
 __all__ = ["make_shards", "run_command"]
@@ -45,32 +46,56 @@ class _Plan:
     folders: bool
 
 
+class _Processes:
+    """Processes that threads start and another one stops."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._started: list[subprocess.Popen[str]] = []
+        self._stopped = False
+
+    def start(self, command: Sequence[str], cwd: str | None, environment: Mapping[str, str]) -> subprocess.Popen[str]:
+        """Start a process. Raise `CancelledError` after `stop`."""
+        # A process must not start between the end of the others and the note that it runs.
+        with self._lock:
+            if self._stopped:
+                raise CancelledError
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                encoding="utf-8",
+                cwd=cwd,
+                env=environment,
+            )
+            self._started.append(process)
+        return process
+
+    def stop(self) -> None:
+        """End all processes, and start no more."""
+        with self._lock:
+            self._stopped = True
+            for process in self._started:
+                process.terminate()
+
+
 def run_command(
     arguments: Sequence[str],
     cwd: str | None = None,
     one_thread: bool = False,
-    started: list[subprocess.Popen[str]] | None = None,
+    processes: _Processes | None = None,
 ) -> str:
     """Run a command of logicity in another process, and return what it printed.
 
-    The process ends if this call is interrupted. It is added to `started`, if given.
+    The process ends if this call is interrupted. It is one of `processes`, if given.
 
     Raises:
-        ValueError: If it fails; the message is that of the command.
+        CommandError: If it fails; the message is that of the command.
     """
     command = [sys.executable, "-m", "logicity", *arguments]
     environment = {**os.environ, **(ONE_THREAD if one_thread else {})}
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=cwd,
-        env=environment,
-    ) as process:
-        if started is not None:
-            started.append(process)
+    with (processes or _Processes()).start(command, cwd, environment) as process:
         try:
             printed, said = process.communicate()
         except BaseException:
@@ -78,8 +103,16 @@ def run_command(
             raise
     if process.returncode != 0:
         reason = said.strip() or f"it ended with the code {process.returncode}"
-        raise ValueError(f"`logicity {' '.join(arguments)}` failed:\n{reason}")
+        raise CommandError(f"`logicity {' '.join(arguments)}` failed:\n{reason}", process.returncode)
     return printed
+
+
+def _tried(arguments: Sequence[str], cwd: str) -> str | CommandError:
+    """Variant of `run_command` in one thread that returns the error, of which submitit would keep only the text."""
+    try:
+        return run_command(arguments, cwd, True)
+    except CommandError as error:
+        return error
 
 
 def make_shards(
@@ -98,7 +131,8 @@ def make_shards(
     Args:
         command: `episodes make`, `questions` or `vap make` with their options, of which one names the output.
         count: The number of shards.
-        jobs: The number of processes, of workers of a new Ray cluster, or of simultaneous jobs of Slurm.
+        jobs: The number of processes, of workers of a new Ray cluster, or of simultaneous jobs of Slurm. An existing
+            Ray cluster and other clusters of submitit determine it by themselves.
         ray: The address of a Ray cluster whose machines share the folder, or `local` for a new one.
         slurm: Parameters of submitit for an array of jobs; `{"cluster": "local"}` runs them on this machine.
         progress: Receives lines of progress.
@@ -107,11 +141,14 @@ def make_shards(
         What the command that joins the shards printed.
 
     Raises:
+        CommandError: If a shard or the command that joins them fails; the exit code is that of the command.
         ConnectionError: If the Ray cluster does not answer.
         ImportError: If Ray or submitit is requested and not installed.
         OSError: If a file cannot be read or written.
-        ValueError: If the command has no shards, the folder has shards of another command, or a command fails.
+        ValueError: If the command has no shards, the folder has shards of another command, or `jobs` has no effect.
     """
+    check_jobs(jobs, ray)
+    _check_slurm(jobs, slurm)
     plan = _plan(list(command), count)
     plan.folder.mkdir(parents=True, exist_ok=True)
     _check_same(plan.folder, {"command": list(command), "count": count})
@@ -142,7 +179,7 @@ def _plan(command: list[str], count: int) -> _Plan:
     folders = words == ("vap", "make")
     if folders and not any(each.split("=")[0] == "--threads" for each in others):
         others += ["--threads", "1"]
-    folder = Path(f"{output}-shards")
+    folder = _beside(Path(output))
     width = len(str(count))
     shards = {
         folder / f"shard-{number:0{width}}": [*others, "--shard", f"{number}/{count}"] for number in range(1, count + 1)
@@ -152,6 +189,15 @@ def _plan(command: list[str], count: int) -> _Plan:
     force = ["--force"] * ("--force" in others)
     merge = ["merge", *map(os.fspath, shards), "--output", output, *force]
     return _Plan(folder, shards, merge, folders)
+
+
+def _beside(output: Path) -> Path:
+    """Return the folder of the shards of an output, which may end in a separator."""
+    # `.` and `..` have no names of their own.
+    path = output if output.name not in ("", "..") else output.resolve()
+    if not path.name:
+        raise ValueError(f"`{output}` cannot be an output with shards, which lie beside it: choose another one")
+    return path.with_name(f"{path.name}-shards")
 
 
 def _output(command: Sequence[str], options: tuple[str, str]) -> tuple[str | None, list[str]]:
@@ -171,30 +217,43 @@ def _output(command: Sequence[str], options: tuple[str, str]) -> tuple[str | Non
 
 
 def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
-    """Note the command whose shards a folder has, or raise `ValueError` if it has those of another."""
+    """Note the command whose shards a folder has, or raise `ValueError` if it has those of another.
+
+    The note of a command that made no shard, perhaps because it had a mistake, is replaced.
+    """
     file = folder / "command.json"
-    if not file.exists():
-        if any(folder.iterdir()):
-            raise ValueError(f"`{folder}` has files that are not shards: move them, or choose another output")
-        write_text(file, json_text(dict(wanted)))
-    elif read_json(file) != wanted:
-        raise ValueError(f"`{folder}` has the shards of another command: remove it, or choose another output")
+    if file.exists():
+        if _noted(file) == wanted:
+            return
+        if any(folder.glob("shard-*")):
+            raise ValueError(f"`{folder}` has the shards of another command: remove it, or choose another output")
+    elif any(folder.iterdir()):
+        raise ValueError(f"`{folder}` has files that are not shards: move them, or choose another output")
+    write_text(file, json_text(dict(wanted)))
+
+
+def _noted(file: Path) -> Any:
+    """Return the command that a file notes; `None` if it is damaged."""
+    try:
+        return read_json(file)
+    except ValueError:
+        return None
 
 
 def _in_processes(pending: Mapping[Path, list[str]], jobs: int) -> Iterator[Path]:
-    started: list[subprocess.Popen[str]] = []
+    processes = _Processes()
     with ThreadPoolExecutor(jobs) as threads:
-        futures = {
-            threads.submit(run_command, arguments, None, True, started): path for path, arguments in pending.items()
-        }
         try:
+            futures = {
+                threads.submit(run_command, arguments, None, True, processes): path
+                for path, arguments in pending.items()
+            }
             for ended in as_completed(futures):
                 ended.result()
                 yield futures[ended]
         except BaseException:
             threads.shutdown(wait=False, cancel_futures=True)
-            for process in started:
-                process.terminate()
+            processes.stop()
             raise
 
 
@@ -210,11 +269,23 @@ def _on_ray(pending: Mapping[Path, list[str]], address: str, jobs: int | None) -
             try:
                 ray.get(ended)
             except ray.exceptions.RayError as error:
-                # An error of the command itself is the cause.
-                raise ValueError(str(getattr(error, "cause", None) or error)) from None
+                # An error of the command itself is the cause; others are those of the cluster.
+                cause = getattr(error, "cause", None)
+                raise (cause if isinstance(cause, CommandError) else OSError(f"--ray: {cause or error}")) from None
             yield futures.pop(ended)
     finally:
         ray.shutdown()
+
+
+def _check_slurm(jobs: int | None, parameters: Mapping[str, Any] | None) -> None:
+    """Raise `ValueError` if a number of jobs would have no effect on Slurm."""
+    if jobs is None or parameters is None:
+        return
+    cluster = parameters.get("cluster", "slurm")
+    if cluster != "slurm":
+        raise ValueError(f"--jobs: the cluster `{cluster}` of `--slurm` runs all shards at once; omit the option")
+    if "slurm_array_parallelism" in parameters:
+        raise ValueError("--jobs: `--slurm` has `slurm_array_parallelism`, which means the same; omit one of them")
 
 
 def _on_slurm(
@@ -227,20 +298,22 @@ def _on_slurm(
     cluster = options.pop("cluster", "slurm")
     try:
         executor = submitit.AutoExecutor(folder=folder / "logs", cluster=cluster)
-        if jobs is not None and cluster == "slurm":
-            options.setdefault("slurm_array_parallelism", jobs)
+        if jobs is not None:
+            options["slurm_array_parallelism"] = jobs
         executor.update_parameters(name="logicity-shards", **options)
     except (NameError, RuntimeError, TypeError, ValueError) as error:
         # submitit raises these for an unknown parameter or cluster, and if there is no Slurm.
         raise ValueError(f"--slurm: {error}") from None
     here, arguments = os.getcwd(), list(pending.values())
-    submitted = executor.map_array(run_command, arguments, [here] * len(arguments), [True] * len(arguments))
+    submitted = executor.map_array(_tried, arguments, [here] * len(arguments))
     running = dict(zip(submitted, pending, strict=True))
     try:
         while running:
             for job in [job for job in running if job.done()]:
                 if (failure := job.exception()) is not None:
-                    raise ValueError(f"shard `{running[job]}` failed: {failure}\nhelp: its log is {job.paths.stderr}")
+                    raise OSError(f"shard `{running[job]}` failed: {failure}\nhelp: its log is {job.paths.stderr}")
+                if isinstance(result := job.result(), CommandError):
+                    raise result
                 yield running.pop(job)
             if running:
                 time.sleep(_SECONDS)

@@ -104,9 +104,9 @@ def export_network(
         return paths
     made = Path(stem + ".unfinished.net.xml")
     try:
-        done = subprocess.run(
-            [program, *netconvert_options(stem, files), "-o", str(made)], capture_output=True, text=True, check=False
-        )
+        command = [program, *netconvert_options(stem, files), "-o", str(made)]
+        # Another program may print in another encoding.
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
         if done.returncode != 0:
             raise OSError(f"netconvert failed: {(done.stderr or done.stdout).strip()[:500]}")
         write_text(name, made.read_text(encoding="utf-8"), by="map export", overwrite=overwrite)

@@ -4,6 +4,7 @@ import json
 import os
 import pickle
 import pickletools
+import re
 from pathlib import Path
 from typing import Any
 
@@ -53,15 +54,31 @@ def dumped(folder: Path, value: object, protocol: int = 4) -> Path:
     return path
 
 
+def renamed(whole: bytes, name: str) -> bytes:
+    """Return a pickle of this version of NumPy as one whose functions are in a package of this name."""
+    instructions = list(pickletools.genops(whole))
+    ends = [*(at for _, _, at in instructions[1:]), len(whole)]
+    parts = []
+    for (opcode, argument, start), end in zip(instructions, ends, strict=True):
+        text, count = re.subn(r"^numpy\._?core\.", f"{name}.", argument if isinstance(argument, str) else "")
+        if count == 0:
+            # Frames get other lengths, and need not be there.
+            parts.append(b"" if opcode.name == "FRAME" else whole[start:end])
+        elif opcode.name == "GLOBAL":
+            parts.append(pickle.GLOBAL + text.replace(" ", "\n").encode() + b"\n")
+        else:
+            assert opcode.name == "SHORT_BINUNICODE"
+            parts.append(pickle.SHORT_BINUNICODE + bytes([len(text)]) + text.encode())
+    return b"".join(parts)
+
+
 @pytest.mark.parametrize("protocol", range(2, 6))
 @pytest.mark.parametrize("name", ["numpy.core", "numpy._core"])
 def test_pickles_of_all_protocols_and_versions_of_numpy(protocol: int, name: str, tmp_path: Path) -> None:
     path = dumped(tmp_path, content(2), protocol)
-    bytes = path.read_bytes()
-    own = b"numpy._core" if b"numpy._core" in bytes else b"numpy.core"
-    if protocol == 2:
-        # The names are not preceded by their lengths.
-        path.write_bytes(bytes.replace(own, name.encode()))
+    path.write_bytes(renamed(path.read_bytes(), name))
+    named = [text for _, text, _ in pickletools.genops(path.read_bytes()) if isinstance(text, str) and "core." in text]
+    assert named and all(text.startswith(f"{name}.") for text in named)
     episodes = read_published(path)
     _, lines = recorded(2)
     assert [each.number for each in episodes] == [0, 1]
@@ -100,9 +117,17 @@ def test_imported_episodes_can_be_run(tmp_path: Path, capsys: pytest.CaptureFixt
     assert again.read_text() == output.read_text()
     import_episodes(path, "easy", "test", again, seed=1)
     assert again.read_text() != output.read_text()
-    # A file of another program is kept.
+    # Concepts can be numbers of NumPy.
+    value = content(1)
+    for agent in value[0]["agents"].values():
+        true = {concept: np.float32(1.0) for concept in agent["concepts"] if concept not in ("type", "priority")}
+        agent["concepts"] |= {**true, "Other": np.array([0]), "Another": False}
+    assert read_published(dumped(tmp_path, value)) == read_published(dumped(tmp_path, content(1)))
+    # A file of another program is kept, which shows before the work.
     output.write_text("mine")
+    path.write_text("not a pickle")
     assert main(["import-episodes", str(path), "--mode", "easy", "-o", str(output)]) == 2
+    assert output.read_text() == "mine"
 
 
 def test_episodes_of_another_mode_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -160,6 +185,56 @@ def test_other_instructions_are_refused(code: bytes, tmp_path: Path) -> None:
     path.write_bytes(code)
     with pytest.raises(ValueError, match=r"episodes\.pkl: .*byte \d+"):
         read_published(path)
+
+
+def nested(create: bytes, add: bytes, levels: int = 60) -> bytes:
+    """Return instructions for a value that contains the one below twice, and so on: it is small, but long as text."""
+    parts = [create + b"q\x00"]
+    for level in range(levels):
+        # Only the outermost value stays on the stack.
+        parts.append(b"0" + add.replace(b"BELOW", b"h" + bytes([level])) + b"q" + bytes([level + 1]))
+    return b"".join(parts)
+
+
+LISTS = nested(b"]", b"](BELOWBELOWe")
+TUPLES = nested(b")", b"BELOWBELOW\x86")
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        (LISTS + b"\x8c\x04eval\x93.", "it names a function by a list and `eval`, not by two strings"),
+        (b"\x8c\x05numpy" + LISTS + b"\x93.", "it names a function by `numpy` and a list"),
+        (b"]" * 100_000 + b"a" * 99_999 + b"\x8c\x04eval\x93.", "it names a function by a list and `eval`"),
+        (b"K\x01K\x02\x93.", "it names a function by `1` and `2`"),
+        (b"}" + TUPLES + b"Ns.", "string as a key of a dictionary, not a tuple"),
+        (b"}(" + TUPLES + b"Nu.", "string as a key of a dictionary, not a tuple"),
+        (b"(" + TUPLES + b"Nd.", "string as a key of a dictionary, not a tuple"),
+        (b"})" + b"\x85" * 100_000 + b"Ns.", "string as a key of a dictionary, not a tuple"),
+        (b"}(NK\x01K\x02Nu.", "string as a key of a dictionary, not None"),
+        (b"}G\x00\x00\x00\x00\x00\x00\x00\x00Ns.", "string as a key of a dictionary, not `0.0`"),
+    ],
+)
+def test_nested_values_in_place_of_names_and_keys_are_refused(code: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "episodes.pkl"
+    path.write_bytes(b"\x80\x04" + code)
+    with pytest.raises(ValueError, match=r"episodes\.pkl: .*, at byte \d+$") as caught:
+        read_published(path)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("protocol", range(2, 6))
+def test_arrays_can_occur_several_times(protocol: int, tmp_path: Path) -> None:
+    value = content(1)
+    grid = np.zeros((6, 241, 241), np.float32)
+    for agent in value[0]["agents"].values():
+        agent["goal"] = agent["pos"] = agent["start"]
+        agent["view"] = grid
+    value[0]["city_grid"] = value[0]["copy"] = grid
+    (episode,) = read_published(dumped(tmp_path, value, protocol))
+    _, (line,) = recorded(1)
+    assert [agent.start for agent in episode.agents] == [tuple(trip[:2]) for trip in line["trips"]]
+    assert all(agent.goal == agent.start for agent in episode.agents)
 
 
 def test_cut_and_changed_files_are_refused(tmp_path: Path) -> None:
@@ -229,6 +304,12 @@ def with_value(path: str, new: object) -> dict[int, Any]:
         (with_value("agents/Car_1/priority", True), "`priority`: expected an integer, not `True`"),
         (with_value("agents/Car_1/concepts", 3), "expected a dictionary as `concepts`, not `3`"),
         (with_value("agents/Car_1/concepts", {1: 1.0}), "expected the names of concepts as keys"),
+        (
+            with_value("agents/Car_1/concepts/IsTiro", np.array([1.0, 0.0])),
+            "agent `Car_1`, concept `IsTiro`: expected a truth value or a number, not a value of the type ndarray",
+        ),
+        (with_value("agents/Car_1/concepts/IsTiro", [0]), "`IsTiro`: expected a truth value or a number, not a list"),
+        (with_value("agents/Car_1/concepts/IsTiro", None), "`IsTiro`: expected a truth value or a number, not None"),
         (with_value("label_info/oracle_step", "many"), "`oracle_step`: expected an integer, not `many`"),
     ],
 )

@@ -17,7 +17,7 @@ from conftest import ROOT, needs, picture
 from logicity import _logicity
 from logicity.__main__ import main
 from logicity.release import DataSetOptions, Release, ResultsFile, pack_policies, release
-from logicity.release.datasets import SPLITS, data_sets
+from logicity.release.datasets import SPLITS, _episode_rows, data_sets
 from logicity.release.write import write_documents
 
 needs("pyarrow", "release")
@@ -227,7 +227,7 @@ def test_the_command(tmp_path: Path, released: Path, capfd: pytest.CaptureFixtur
             code = main(["release", str(tmp_path / "out"), *words])
         except SystemExit as error:
             code = error.code  # type: ignore[assignment]
-        assert code in (1, 2) and message in capfd.readouterr().err
+        assert code == 2 and message in capfd.readouterr().err
 
 
 @pytest.fixture(scope="module")
@@ -313,12 +313,54 @@ def test_only_the_published_policies_are_packed(trained: Any, tmp_path: Path) ->
         pack_policies(tmp_path / "other", published, lambda line: None)
 
 
+def test_policies_that_are_left_out_later_are_removed(trained: Any, tmp_path: Path) -> None:
+    def pack(results: Path, runs: Path) -> tuple[dict[str, str], set[str], set[str]]:
+        _, left_out = pack_policies(out, [ResultsFile(results, runs)], lambda line: None)
+        index = json.loads((out / "policies.json").read_text())["policies"]
+        folders = {path.name for path in out.iterdir() if path.is_dir()}
+        summed = {line.split("  ")[1].split("/")[0] for line in (out / "SHA256SUMS").read_text().splitlines()}
+        assert summed == {*folders, "policies.json"}
+        return left_out, {entry["name"] for entry in index}, folders
+
+    out, both = tmp_path / "out", {"spf-induce-easy-0", "spf-mlp-easy-0"}
+    assert pack(trained.results, trained.runs)[1:] == (both, both)
+    # Their published rows are still those.
+    left_out, *found = pack(trained.results, tmp_path / "none")
+    assert both < left_out.keys() and found == [both, both]
+    (out / "spf-mlp-easy-0" / "mine").touch()
+    left_out, *found = pack(ROOT / "results" / "spf.json", trained.runs)
+    assert "its weights differ" in left_out["spf-mlp-easy-0"]
+    # A file of another program stays.
+    assert found == [{"spf-induce-easy-0"}, both]
+    assert [path.name for path in (out / "spf-mlp-easy-0").iterdir()] == ["mine"]
+    (out / "spf-mlp-easy-0" / "mine").unlink()
+    (out / "spf-mlp-easy-0").rmdir()
+    pack(trained.results, trained.runs)
+    assert pack(ROOT / "results" / "spf.json", tmp_path / "none")[1:] == ({"spf-induce-easy-0"},) * 2
+
+
+def test_rows_of_episodes_can_have_all_characters() -> None:
+    header, *lines = _logicity.read_file("configs/episodes/easy-test.jsonl").splitlines()
+    named = json.loads(header)
+    named["map"]["name"] = "a\u2028b\u0085c"
+    text = "\n".join([json.dumps(named, ensure_ascii=False), *lines]) + "\n"
+    rows = list(_episode_rows("easy", text))
+    assert len(rows) == len(lines) and rows[0]["map"] == "a\u2028b\u0085c"
+
+
 def test_a_faulty_index_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    def index(*names: str) -> str:
+        policies = [{"name": name, "mode": "easy", "file": "policy.pt"} for name in names]
+        return json.dumps({"format": 1, "policies": policies})
+
     for text in (
         "{",
         "[]",
         '{"format": 2, "policies": []}',
         json.dumps({"format": 1, "policies": [{"name": "a", "mode": "easy", "file": "../../etc/passwd"}]}),
+        # The traces of a policy are in a folder of its name.
+        *map(index, ("../../x", "..", ".", "", "/x", "a/b", "a/", "a\\b", "c:x", "a\0b")),
+        index("a", "a"),
     ):
         (tmp_path / "policies.json").write_text(text)
         assert main(["evaluate", "--policy", str(tmp_path)]) == 1
@@ -343,6 +385,15 @@ def test_safetensors_hold_tensors_and_plain_data(tmp_path: Path) -> None:
         assert set(file.keys()) == {"a.0", "b.1", "c.1", "d.e.f"}
     with pytest.raises(TypeError, match="x: set is neither a tensor nor plain data"):
         write_safetensors(path, {"x": {1}})
+    one = torch.zeros(1)
+    for same, name in (
+        ({1: one, "1": one}, "1"),
+        ({"a": {"b": one}, "a.b": one}, "a.b"),
+        ({"a": [one], "a.0": one}, "a.0"),
+    ):
+        with pytest.raises(ValueError, match=f"two tensors have the name `{name}`"):
+            write_safetensors(tmp_path / "b.safetensors", same)
+        assert not (tmp_path / "b.safetensors").exists()
     for bytes in (b"", b"hello", path.read_bytes()[:-1], path.read_bytes().replace(b"$tensor", b"$tonsor")):
         path.write_bytes(bytes)
         if bytes.find(b"$tonsor") < 0:

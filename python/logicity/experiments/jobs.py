@@ -215,7 +215,7 @@ def _start(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=log,
-        text=True,
+        encoding="utf-8",
         env={**os.environ, **ONE_THREAD, **environment},
         # Ctrl-C reaches only this process, which then ends the others.
         start_new_session=True,
@@ -252,7 +252,7 @@ def _run_on_ray(
     cells: Sequence[Cell], root: Path, jobs: int, say: Say, wandb: str | None, trust: bool, address: str
 ) -> dict[str, str]:
     """Run cells on Ray, each as a task with one CPU. If a worker is lost, its cell runs again."""
-    ray = connect(address, jobs)
+    ray = connect(address, jobs if address == "local" else None)
     # A new process for each cell, as in `run_in_processes`. Only the loss of a worker repeats a cell.
     task = ray.remote(num_cpus=1, max_calls=1, max_retries=RETRIES)(_in_worker)
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from .. import _logicity
 from ..errors import checked_integer, did_you_mean, extra
-from ..files import reserved
+from ..files import write_text
 from ..modes import MODES
 from ..offline import demonstrations
 from ..shards import run_command
@@ -170,13 +170,6 @@ def _drawn_episodes(options: DataSetOptions, mode: str, split: Split) -> str:
     return run_command([*words, "--seed", str(options.seed), "--output", "-"])
 
 
-def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with reserved(path, by=None) as output:
-        Path(output.temporary).write_text(text, encoding="utf-8")
-        output.finish()
-
-
 def _parts(folder: Path, names: Sequence[str], say: Say, make: Callable[[str, Path], None]) -> None:
     """Make the files that a folder lacks. Files get their names only when they are complete."""
     for done, name in enumerate(names):
@@ -197,12 +190,12 @@ def _episodes(options: DataSetOptions) -> DataSet:
         file = folder / "episodes" / f"{stem}.jsonl"
         if path.parent.name == "episodes":
             if recorded is not None:
-                _write(path, recorded)
+                write_text(path, recorded)
                 return
-            _write(path, _drawn_episodes(options, mode, split))
+            write_text(path, _drawn_episodes(options, mode, split))
         else:
             rows = _episode_rows(mode, file.read_text(encoding="utf-8"))
-            _write(path, "".join(json.dumps(row) + "\n" for row in rows))
+            write_text(path, "".join(json.dumps(row) + "\n" for row in rows))
 
     def make(folder: Path, say: Say) -> None:
         paths = [f"{kind}/{name}.jsonl" for kind in ("episodes", "table") for name in names]
@@ -280,7 +273,8 @@ _EPISODE_COLUMNS = (
 
 def _episode_rows(mode: str, text: str) -> Iterator[dict[str, Any]]:
     """Yield the rows of the table of a file of episodes."""
-    header, *lines = map(json.loads, text.splitlines())
+    # Other line breaks can occur in strings.
+    header, *lines = map(json.loads, text.removesuffix("\n").split("\n"))
     for number, line in enumerate(lines):
         agents = [{**agent, **line["changes"].get(agent["id"], {})} for agent in header["agents"]]
         starts_and_goals = zip(*line["trips"], strict=True)
@@ -413,7 +407,7 @@ def _questions(options: DataSetOptions) -> DataSet:
     def make_one(name: str, path: Path) -> None:
         # In easy mode, the rules never require Fast.
         arguments = [*names[path.stem], "--count", str(options.questions)]
-        _write(path, run_command([*arguments, "--output", "-"]))
+        write_text(path, run_command([*arguments, "--output", "-"]))
 
     def make(folder: Path, say: Say) -> None:
         _parts(folder, [f"data/{name}.jsonl" for name in names], say, make_one)

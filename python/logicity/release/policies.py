@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
 from .._logicity import __version__
-from ..files import file_hash, json_text, read_json, reserved
+from ..files import file_hash, json_text, read_json, write_text
 from .cards import LICENSE, front_matter
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ INDEX = "policies.json"
 
 #: Files of weights must be smaller, in bytes.
 LARGEST = 5_000_000
+
+#: The files that the folder of a policy can have.
+_FILES = ("policy.dl", "policy.safetensors", "config.json", "README.md", "rows.json", "LICENSE")
 
 Row = Mapping[str, Any]
 
@@ -47,17 +51,25 @@ def packed_policies(folder: Path) -> list[dict[str, Any]] | None:
         index = read_json(file)
         entries = index["policies"]
         valid = index["format"] == 1 and all(
-            isinstance(entry["name"], str)
+            _is_folder_name(entry["name"])
             and isinstance(entry["mode"], str)
             and isinstance(entry["file"], str)
             and (folder / entry["file"]).resolve().is_relative_to(folder.resolve())
             for entry in entries
         )
+        valid &= len({entry["name"] for entry in entries}) == len(entries)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{file} is not an index of policies: {error!r}") from None
     if not valid:
-        raise ValueError(f"{file} is not an index of policies of format 1, or names a file outside of its folder")
+        faults = "or has a name twice, or one that is no name of a folder, or a file outside of its folder"
+        raise ValueError(f"{file} is not an index of policies of format 1, {faults}")
     return list(entries)
+
+
+def _is_folder_name(name: object) -> bool:
+    """Return whether a name is that of a folder in any other folder, on every system."""
+    # Both `/` and `\` separate the parts of such paths, which may begin with a drive.
+    return isinstance(name, str) and "\0" not in name and name != ".." and PureWindowsPath(name).parts == (name,)
 
 
 def pack_policies(
@@ -66,13 +78,15 @@ def pack_policies(
     """Pack the trained policies of published results, and return their names, and why others are left out, by name.
 
     A policy is packed if its run is finished, its file is smaller than 5 MB, and its hash is the published one. Packed
-    policies of an earlier call are replaced.
+    policies of an earlier call are replaced. One that is now left out is removed, unless only its run is missing and
+    its published rows are the same as then.
 
     Raises:
         FileExistsError: If the folder has files that are not of such a call.
         OSError: If a file cannot be read or written.
         ValueError: If a file has no results of Safe Path Following.
     """
+    from ..experiments.cells import finished
     from ..experiments.experiment import Selection
     from ..experiments.registry import load_experiment
     from ..experiments.results import read_results
@@ -105,6 +119,10 @@ def pack_policies(
                 _index(folder, known)
                 say(f"{name}: packed")
             else:
+                if name in known and not (finished(cell, source.runs) is None and _has_rows(folder / name, published)):
+                    del known[name]
+                    _index(folder, known)
+                    _remove(folder / name)
                 left_out[name] = reason
                 say(f"{name}: left out: {reason}")
     _sums(folder)
@@ -115,6 +133,22 @@ def _name(experiment: str, cell: Cell) -> str:
     parts = (experiment, cell.row, Path(cell.mode).stem, cell.variant, str(cell.seed))
     name = "-".join(filter(None, parts))
     return "".join(each if each.isalnum() or each in "-._" else "_" for each in name)
+
+
+def _has_rows(folder: Path, rows: Sequence[Row]) -> bool:
+    """Return whether a policy was packed for these published rows."""
+    try:
+        return bool(read_json(folder / "rows.json")["rows"] == [dict(row) for row in rows])
+    except (KeyError, OSError, TypeError, ValueError):
+        return False
+
+
+def _remove(folder: Path) -> None:
+    """Remove a packed policy. Other files in its folder stay."""
+    for name in _FILES:
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def _pack(
@@ -151,9 +185,9 @@ def _pack(
         shutil.copyfile(run / "config.json", folder / "config.json")
     if policy_hash(load_policy(packed).policy) != (kind, sha256):
         raise ValueError(f"{packed} is not the policy of {file}: report this as a fault of logicity")
-    _text(folder / "README.md", _model_card(name, experiment, rows, packed.name, kind, sha256))
-    _text(folder / "rows.json", json_text({"experiment": experiment, "rows": [dict(row) for row in rows]}))
-    _text(folder / "LICENSE", LICENSE)
+    write_text(folder / "README.md", _model_card(name, experiment, rows, packed.name, kind, sha256))
+    write_text(folder / "rows.json", json_text({"experiment": experiment, "rows": [dict(row) for row in rows]}))
+    write_text(folder / "LICENSE", LICENSE)
     first = rows[0]
     known[name] = {
         "name": name,
@@ -226,17 +260,11 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
 def _index(folder: Path, known: Mapping[str, Any]) -> None:
     """Write the index of the policies."""
     entries = [known[name] for name in sorted(known)]
-    _text(folder / INDEX, json_text({"format": 1, "version": __version__, "policies": entries}))
+    write_text(folder / INDEX, json_text({"format": 1, "version": __version__, "policies": entries}))
 
 
 def _sums(folder: Path) -> None:
     """Write the checksums of all files."""
     paths = (path for path in folder.rglob("*") if path.is_file() and path.name != "SHA256SUMS")
     lines = sorted((path.relative_to(folder).as_posix(), path) for path in paths if not path.name.startswith("."))
-    _text(folder / "SHA256SUMS", "".join(f"{file_hash(path)}  {name}\n" for name, path in lines))
-
-
-def _text(path: Path, text: str) -> None:
-    with reserved(path, by=None) as output:
-        Path(output.temporary).write_text(text, encoding="utf-8")
-        output.finish()
+    write_text(folder / "SHA256SUMS", "".join(f"{file_hash(path)}  {name}\n" for name, path in lines))

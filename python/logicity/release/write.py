@@ -11,13 +11,13 @@ from typing import Any
 
 from .._logicity import __version__
 from ..errors import checked_path, did_you_mean
-from ..files import file_hash, json_text, read_json, reserved
+from ..files import file_hash, json_text, read_json, write_text
 from .cards import LICENSE, card, data_sheet
 from .croissant import About, DataFile, metadata
 from .datasets import DataSet, DataSetOptions, data_sets
 from .policies import ResultsFile, pack_policies
 
-__all__ = ["Release", "release", "write_documents"]
+__all__ = ["Release", "release", "selected_sets", "write_documents"]
 
 #: The file that says of which release a folder is.
 STAMP = "release.json"
@@ -81,12 +81,9 @@ def release(
         OSError: If a file cannot be read or written.
         ValueError: If a name is unknown, or a command of a data set fails.
     """
-    root, known = (
-        Path(checked_path("folder", folder)),
-        {each.name: each for each in data_sets(options or DataSetOptions())},
-    )
+    root = Path(checked_path("folder", folder))
     day = Date.today().isoformat() if date is None else Date.fromisoformat(date).isoformat()
-    selected = [known[name] for name in _selected(only, list(known))]
+    selected = selected_sets(only, options)
     root.mkdir(parents=True, exist_ok=True)
     made, kept = [], []
     for each in selected:
@@ -98,9 +95,11 @@ def release(
     return Release(tuple(made), tuple(kept), tuple(packed), left_out)
 
 
-def _selected(only: Sequence[str] | None, known: Sequence[str]) -> list[str]:
+def selected_sets(only: Sequence[str] | None, options: DataSetOptions | None = None) -> list[DataSet]:
+    """Return the data sets that `release` writes. Raise `ValueError` for unknown names."""
+    known = {each.name: each for each in data_sets(options)}
     if only is None:
-        return list(known)
+        return list(known.values())
     found: list[str] = []
     for name in only:
         if name == "vap":
@@ -109,7 +108,7 @@ def _selected(only: Sequence[str] | None, known: Sequence[str]) -> list[str]:
             found.append(name)
         elif name != "policies":
             raise ValueError(f"unknown data set `{name}`{did_you_mean(name, [*known, 'vap', 'policies'])}")
-    return list(dict.fromkeys(found))
+    return [known[name] for name in dict.fromkeys(found)]
 
 
 def _write_data_set(
@@ -137,7 +136,7 @@ def _write_data_set(
         return False
     folder.mkdir(exist_ok=True)
     (folder / SUMS).unlink(missing_ok=True)
-    _text(folder / STAMP, json_text(stamp))
+    write_text(folder / STAMP, json_text(stamp))
     say(f"{each.name}: begins")
     each.make(folder, say)
     write_documents(folder, each, day, url)
@@ -173,12 +172,12 @@ def write_documents(folder: Path, each: DataSet, day: str, url: str | None) -> N
     singles = [file for path, file in files.items() if not (patterns and "/world-" in path)]
     total = sum(sizes.values())
     text = f"It has {len(paths)} files with {_megabytes(total)}."
-    _text(folder / "croissant.json", json_text(metadata(about, singles, patterns, records)))
-    _text(folder / "README.md", card(about, records, text, each.usage, each.configs))
-    _text(folder / "DATASHEET.md", data_sheet(about, text))
-    _text(folder / "LICENSE", LICENSE)
+    write_text(folder / "croissant.json", json_text(metadata(about, singles, patterns, records)))
+    write_text(folder / "README.md", card(about, records, text, each.usage, each.configs))
+    write_text(folder / "DATASHEET.md", data_sheet(about, text))
+    write_text(folder / "LICENSE", LICENSE)
     hashes |= {path: file_hash(folder / path) for path in _DOCUMENTS if path != SUMS}
-    _text(folder / SUMS, "".join(f"{hashes[path]}  {path}\n" for path in sorted(hashes)))
+    write_text(folder / SUMS, "".join(f"{hashes[path]}  {path}\n" for path in sorted(hashes)))
 
 
 def _megabytes(size: int) -> str:
@@ -189,9 +188,3 @@ def _files(folder: Path) -> Iterable[str]:
     """Return the paths of all files in a folder, relative to it."""
     found = (path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     return sorted(path.relative_to(folder).as_posix() for path in found)
-
-
-def _text(path: Path, text: str) -> None:
-    with reserved(path, by=None) as output:
-        Path(output.temporary).write_text(text, encoding="utf-8")
-        output.finish()
