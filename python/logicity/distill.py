@@ -444,7 +444,8 @@ def _inlined(path: Path, seen: set[Path]) -> str:
     """Return a rule file with the text of the files on disk that it includes. Built-in ones stay included."""
     seen.add(path.resolve())
     lines = []
-    for line in path.read_text(encoding="utf-8").splitlines():
+    # Other line breaks can occur in comments and strings.
+    for line in path.read_text(encoding="utf-8").removesuffix("\n").split("\n"):
         found = re.match(r'\s*\.include\s+"([^"]+)"\s*(//.*)?$', line)
         included = None if found is None else path.parent / found[1]
         if included is None or not included.is_file():

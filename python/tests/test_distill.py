@@ -13,7 +13,7 @@ import pytest
 from conftest import needs
 
 import logicity
-from logicity.distill import FILES, Settings, distill
+from logicity.distill import FILES, Settings, _inlined, distill
 from logicity.placement import Grid, load_map
 from logicity.sumo import export_network, find_program, network
 from logicity.trajectories import read_trajectories
@@ -204,6 +204,19 @@ def driven(tmp_path: Path, junctions: str, period: str) -> Path:
     ):
         subprocess.run([str(part) for part in line], check=True, capture_output=True, env=environment, cwd=tmp_path)
     return traffic
+
+
+def test_included_rules_keep_their_lines(tmp_path: Path) -> None:
+    inner = "// not\u2028a rule\u0085\n.decl A(x: agent)\n"
+    (tmp_path / "inner.dl").write_text(inner, encoding="utf-8")
+    (tmp_path / "outer.dl").write_text('.include "right-of-way.dl"\n.include "inner.dl"\n\nA(X) :- B(X).\n')
+    assert _inlined(tmp_path / "outer.dl", set()).split("\n") == [
+        '.include "right-of-way.dl"',
+        *inner.split("\n"),
+        "",
+        "A(X) :- B(X).",
+        "",
+    ]
 
 
 #: Words for main streets, a zone of the map.
