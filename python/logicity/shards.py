@@ -20,7 +20,7 @@ from .cluster import ONE_THREAD, RETRIES, check_jobs, connect
 from .errors import CommandError, extra
 from .files import json_text, read_json, write_text
 
-__all__ = ["make_shards", "run_command"]
+__all__ = ["make_shards"]
 
 #: The commands that have shards, with the options that name their output.
 _COMMANDS = {
@@ -141,11 +141,11 @@ def make_shards(
         What the command that joins the shards printed.
 
     Raises:
-        CommandError: If a shard or the command that joins them fails; the exit code is that of the command.
         ConnectionError: If the Ray cluster does not answer.
         ImportError: If Ray or submitit is requested and not installed.
         OSError: If a file cannot be read or written.
-        ValueError: If the command has no shards, the folder has shards of another command, or `jobs` has no effect.
+        ValueError: If the command has no shards, the folder has shards of another command, or `jobs` has no effect; and
+            if a shard or the command that joins them fails, with the exit code of the command as `code`.
     """
     check_jobs(jobs, ray)
     _check_slurm(jobs, slurm)

@@ -8,7 +8,7 @@ use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, messages, unwritable};
 use crate::cli::values::{ShardOption, integer, one_of};
-use crate::cli::{merge, terminal};
+use crate::cli::{inputs, terminal};
 use crate::diag::{Diagnostic, SourceId, Sources, counted};
 use crate::files;
 use crate::task::shard::{self, Origin, Shard};
@@ -208,7 +208,7 @@ impl Make {
             rules,
             limits,
         } = &self.which;
-        merge::refuse_undecodable(config, rules.as_deref())?;
+        inputs::refuse_undecodable(config, rules.as_deref())?;
         let city = load_city(sources, config, rules.as_deref(), limits)?;
         let rules_hash = city.rules_hash.clone();
         let task = Arc::new(SpfTask::new(Arc::new(city.world()?), sources)?);
@@ -324,8 +324,8 @@ pub fn merge(
     let (joined, path) = (counted(made.len(), "shard"), output.display());
     writeln!(
         said,
-        "joined {joined}, and searched {} more",
-        counted(usize::try_from(added).unwrap_or(0), "draw")
+        "joined {joined}, and searched {}",
+        counted(usize::try_from(added).unwrap_or(0), "further draw")
     )?;
     writeln!(said, "wrote {} to {path}: {}", counted(*count, "episode"), set.hash())?;
     Ok(())

@@ -7,6 +7,7 @@ use crate::diag::{self, Diagnostic, Limit, Sources};
 use crate::files::{self, FileId, ReadError, ReadFile};
 use std::collections::BTreeSet;
 use std::fs::File;
+use std::iter;
 use std::path::{Path, PathBuf};
 
 /// The files that a command reads. No output replaces one of them, not even with `--force`.
@@ -81,5 +82,16 @@ pub fn unreadable(path: &Path, error: &ReadError) -> Failure {
             let help = near.map_or_else(String::new, |near| format!("\nhelp: did you mean `{near}`?"));
             Failure::Usage(format!("cannot read `{}`: {error}{help}", path.display()))
         }
+    }
+}
+
+/// Fails if a shard could not name the configuration or the rules, since its first line is JSON.
+pub fn refuse_undecodable(config: &Path, rules: Option<&Path>) -> Result<(), Failure> {
+    match iter::once(config).chain(rules).find(|path| path.to_str().is_none()) {
+        Some(path) => Err(Failure::Usage(format!(
+            "a shard cannot name `{}`, which is not UTF-8\nhelp: rename it",
+            path.display()
+        ))),
+        None => Ok(()),
     }
 }

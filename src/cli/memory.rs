@@ -44,7 +44,7 @@ pub fn system_limit() -> Option<SystemLimit> {
 
 /// The resident memory beyond the limit at which [`watch`] ends the process: that of the program itself, and of
 /// buffers of fixed size.
-const BESIDES: u64 = 64 << 20;
+const BESIDES: u64 = 80 << 20;
 
 /// The part of [`BESIDES`] that buffers may need, also in a process that was larger when its command began.
 pub const BUFFERS: u64 = 32 << 20;

@@ -9,8 +9,7 @@ use crate::diag::Sources;
 use crate::task::questions::QUESTION_SHARDS;
 use crate::task::shard;
 use crate::task::spf::EPISODE_SHARDS;
-use std::iter;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -25,17 +24,6 @@ pub struct Arguments {
     force: ForceOption,
     #[command(flatten)]
     limits: LimitOptions,
-}
-
-/// Fails if a shard could not name the configuration or the rules, since its first line is JSON.
-pub fn refuse_undecodable(config: &Path, rules: Option<&Path>) -> Result<(), Failure> {
-    match iter::once(config).chain(rules).find(|path| path.to_str().is_none()) {
-        Some(path) => Err(Failure::Usage(format!(
-            "a shard cannot name `{}`, which is not UTF-8\nhelp: rename it",
-            path.display()
-        ))),
-        None => Ok(()),
-    }
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {

@@ -8,7 +8,7 @@ use crate::cli::limits::LimitOptions;
 use crate::cli::load::load_city;
 use crate::cli::outputs::{ForceOption, finish, is_stdout, messages, print_others, refuse_mixing, unwritable};
 use crate::cli::values::{ShardOption, integer, one_of};
-use crate::cli::{merge, terminal};
+use crate::cli::{inputs, terminal};
 use crate::diag::{Diagnostic, SourceId, Sources, counted};
 use crate::files::{Output, make_folder};
 use crate::render::{Difficulty, Icons, write_png};
@@ -124,7 +124,7 @@ impl Arguments {
         let Some(path) = &self.output else {
             return Err(Failure::Usage("name a file for the shard with `--output`".into()));
         };
-        merge::refuse_undecodable(&self.config, self.rules.as_deref())?;
+        inputs::refuse_undecodable(&self.config, self.rules.as_deref())?;
         let city = load_city(sources, &self.config, self.rules.as_deref(), &self.limits)?;
         let request = self.request();
         let origin = Origin {
@@ -207,8 +207,8 @@ pub fn merge(
     let (joined, added) = (counted(made.len(), "shard"), usize::try_from(added).unwrap_or(0));
     writeln!(
         messages(&[output]),
-        "joined {joined}, and searched {} more",
-        counted(added, "world")
+        "joined {joined}, and searched {}",
+        counted(added, "further world")
     )?;
     let rules = RulesFile {
         name: sources.name(rule_file),

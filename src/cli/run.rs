@@ -19,7 +19,6 @@ use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
 use crate::diag::{self, Diagnostic, SourceId, Sources, counted};
 use crate::files::{Output, make_folder, remove_own};
-
 use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Extent, Icons, Overview, Scale, write_png};
 use crate::rng::Seed;

@@ -150,7 +150,7 @@ fn a_cropped_run_shows_where_agents_are() {
     for (options, word) in [
         (vec!["--scale", "0"], "from 1 to 64"),
         (vec!["--scale", "64"], "use a smaller `--scale`, or `--crop`"),
-        (vec!["--crop", "--no-pictures"], "cannot be used with"),
+        (vec!["--crop", "--no-pictures"], "have no effect with"),
     ] {
         let target = folder.path().join("none");
         let ticks = ["run", "expert", "--ticks", "1", "--out", target.to_str().unwrap()];

@@ -155,15 +155,11 @@ fn only_complete_and_unchanged_shards_are_joined() {
         assert!(!folder.join("whole").exists());
     };
     refused(&["one"], &["error[invalid-shard]: shard 2/2 is missing"]);
-    // Joining has the limits of making.
-    let limited = ["merge", "one", "two", "--output", "whole", "--max-rows", "1"];
-    fails(folder, &limited, 1, &["limit-exceeded", "--max-rows"]);
-    assert!(!folder.join("whole").exists());
     refused(&["one", "one", "two"], &["`one` and `one` are both shard 1/2"]);
     refused(&["one", "other"], &["`other` and `one` are of different data sets"]);
     let [first, text] = ["one", "two"].map(|name| fs::read_to_string(folder.join(name)).unwrap());
     fs::write(folder.join("cut"), &text[..text.len() - 9]).unwrap();
-    refused(&["one", "cut"], &["cut or changed", "cut:1:1"]);
+    refused(&["one", "cut"], &["truncated or modified", "cut:1:1"]);
     fs::write(folder.join("none"), "").unwrap();
     refused(&["one", "none"], &["not the first line of a shard", "none:1:1"]);
     fs::write(folder.join("later"), text.replacen("\"version\":1", "\"version\":2", 1)).unwrap();
@@ -173,7 +169,7 @@ fn only_complete_and_unchanged_shards_are_joined() {
         text.replacen("\"searched\":", "\"searched\":1", 1),
     )
     .unwrap();
-    refused(&["one", "fewer"], &["cut or changed", "fewer:1:1"]);
+    refused(&["one", "fewer"], &["truncated or modified", "fewer:1:1"]);
     fs::write(folder.join("many"), forged(&text, "\"of\":2", "\"of\":4000000000")).unwrap();
     refused(&["many"], &["`many` claims to be shard 2/4000000000"]);
     let episodes = ["episodes", "make", "easy", "--count", "2", "--output", "set"];
@@ -306,6 +302,6 @@ fn shards_fail_as_their_fixture_expects() {
         root,
         &["episodes", "make", "easy", "--shard", "1/2"],
         2,
-        &["name a file for it with `--output`"],
+        &["`--shard` needs `--output FILE`"],
     );
 }

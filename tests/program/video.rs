@@ -148,7 +148,10 @@ fn videos_are_refused_before_the_run_that_they_would_lose() {
     let output = logicity(folder, &small, Some(&encoder));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let arguments = fs::read_to_string(folder.join("arguments")).unwrap();
-    assert!(arguments.trim_end().rsplit(' ').next().unwrap().starts_with("./10:00/"), "{arguments}");
+    assert!(
+        arguments.trim_end().rsplit(' ').next().unwrap().starts_with("./10:00/"),
+        "{arguments}"
+    );
     let view = ["view", "/dev/null", "-o", "page.html", "--video", "city.mp4"];
     fails(&logicity(folder, &view, Some(&encoder)), 2, &["a pipe does not allow"]);
 }
