@@ -161,7 +161,7 @@ def test_no_process_starts_after_the_end() -> None:
 
 
 def test_what_a_command_prints_is_read_as_utf_8(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Python decodes by this locale unless it is told otherwise.
+    # Python decodes with the encoding of this locale by default.
     for name, value in {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}.items():
         monkeypatch.setenv(name, value)
     (tmp_path / "a.dl").write_text("Stop(X) :- \u00fc.\n", encoding="utf-8")

@@ -703,7 +703,7 @@ impl Definition {
         let further_keys = mappings.clone().flat_map(|(keys, _)| &keys[1..]);
         let keys = mappings.clone().map(|(keys, _)| &keys[0]).chain(further_keys);
         let given: Vec<(&str, &YamlNode)> = keys.filter_map(|key| Some((*key, fields.optional(*key)?))).collect();
-        // Whoever reads configurations reads the looks of a concept.
+        // The reader of configurations reads the looks of a concept.
         let picture = fields.optional("picture");
         fields.close(faults);
         if let Some(picture) = picture.filter(|_| !given.iter().any(|(key, _)| *key == "concept")) {

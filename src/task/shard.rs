@@ -124,7 +124,7 @@ impl<R> Origin<R> {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ShardHeader<O> {
-    /// What the shard is of: `logicity episodes` or `logicity questions`.
+    /// The kind of its items: `logicity episodes` or `logicity questions`.
     pub shard_of: String,
     /// The version of the format.
     pub version: u32,
@@ -150,7 +150,7 @@ struct Format {
     version: u32,
 }
 
-/// Returns what the file of a shard is of, by its first line.
+/// Returns the kind of items in the file of a shard, by its first line.
 ///
 /// # Errors
 /// `invalid-shard` if the text is not that of a shard, or of another version.

@@ -321,6 +321,23 @@ fn a_dead_clause_with_several_heads_is_marked_once() {
     assert_eq!(dead.secondary.len(), 2, "{dead:#?}");
 }
 
+/// Asserts that a program without faults derives these rows of `o`, also for the naive evaluator.
+fn assert_rows_of_o(text: &str, expected: &str) {
+    assert_eq!(diagnostics(text), []);
+    let mut sources = Sources::new();
+    let entry = sources.add("a.dl", text);
+    let rules = load(&mut sources, entry, &RuleFiles).rules.expect("checked");
+    let naive = naive::evaluate(&rules, &rules.symbols, []);
+    let mut session = Program::new(rules).expect("small").session();
+    session.commit().expect("small");
+    let o = session.program().predicate("o").expect("declared");
+    assert_eq!(
+        naive[o.0 as usize],
+        session.encoded_rows(o).map(<[Value]>::to_vec).collect()
+    );
+    assert_eq!(facts::print(&session, o), expected);
+}
+
 /// An inline predicate whose clauses bind its columns only by ones that do not.
 #[test]
 fn inline_predicates_may_bind_nothing_by_others() {
@@ -331,19 +348,7 @@ fn inline_predicates_may_bind_nothing_by_others() {
                 .decl abs(x: number, y: number) inline\nabs(x, x) :- x >= 0. abs(x, y) :- less(x, 0), y = 0 - x.\n\
                 .decl twice(x: number, y: number) inline\ntwice(x, y) :- abs(x, z), y = 2 * z.\n\
                 o(x, y) :- a(x), a(y), near(x, y). o(x, y) :- a(x), twice(x, y), !near(x, 2).\n";
-    assert_eq!(diagnostics(text), []);
-    let mut sources = Sources::new();
-    let entry = sources.add("a.dl", text);
-    let rules = load(&mut sources, entry, &RuleFiles).rules.expect("checked");
-    let naive = naive::evaluate(&rules, &rules.symbols, []);
-    let mut session = Program::new(rules).expect("small").session();
-    session.commit().expect("small");
-    let o = session.program().predicate("o").expect("declared");
-    assert_eq!(
-        naive[o.0 as usize],
-        session.encoded_rows(o).map(<[Value]>::to_vec).collect()
-    );
-    assert_eq!(facts::print(&session, o), "-3\t-3\n-3\t6\n2\t2\n2\t5\n5\t5\n5\t10\n");
+    assert_rows_of_o(text, "-3\t-3\n-3\t6\n2\t2\n2\t5\n5\t5\n5\t10\n");
 }
 
 #[test]
@@ -351,19 +356,7 @@ fn an_equation_with_any_value_holds_of_values() {
     let text = ".decl a(x: number)\n.decl o(x: number)\n.output o\na(0). a(1).\n\
                 o(x) :- a(x), _ = 1 / x. o(2) :- _ = [1]. o(3) :- a(x), [x, _] = [1, 2], as(x, float) = _. o(4) :- a(y), _ = y + 1, !a(4).\n\
                 #if RAM_DOMAIN_SIZE == 32\no(32).\n#endif\n";
-    assert_eq!(diagnostics(text), []);
-    let mut sources = Sources::new();
-    let entry = sources.add("a.dl", text);
-    let rules = load(&mut sources, entry, &RuleFiles).rules.expect("checked");
-    let naive = naive::evaluate(&rules, &rules.symbols, []);
-    let mut session = Program::new(rules).expect("small").session();
-    session.commit().expect("small");
-    let o = session.program().predicate("o").expect("declared");
-    assert_eq!(
-        naive[o.0 as usize],
-        session.encoded_rows(o).map(<[Value]>::to_vec).collect()
-    );
-    assert_eq!(facts::print(&session, o), "1\n2\n3\n4\n32\n");
+    assert_rows_of_o(text, "1\n2\n3\n4\n32\n");
 }
 
 #[test]

@@ -168,7 +168,7 @@ def write_documents(folder: Path, each: DataSet, day: str, url: str | None) -> N
         if Path(path).suffix in _MEDIA_TYPES
     }
     patterns, records = each.records(folder, files)
-    # Patterns describe their files, of which there may be many.
+    # One pattern describes many files.
     singles = [file for path, file in files.items() if not (patterns and "/world-" in path)]
     total = sum(sizes.values())
     text = f"It has {len(paths)} files with {_megabytes(total)}."
