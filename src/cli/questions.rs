@@ -215,7 +215,8 @@ pub fn merge(
         hash: &hash,
         sources,
     };
-    publish(&set, &world, rules, (output, questions), pictures.as_deref())
+    let out = messages(&[output]);
+    publish(&set, &world, rules, (output, questions), pictures.as_deref(), out)
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -278,16 +279,18 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let tables = [arguments.csv.as_deref(), arguments.demonstrations_csv.as_deref()];
     print_others(&mut *messages(&paths), &tables)?;
     let output = output.unwrap_or(Path::new("-"));
-    publish(&set, &world, rules, (output, questions), pictures.as_deref())
+    let out = messages(&paths);
+    publish(&set, &world, rules, (output, questions), pictures.as_deref(), out)
 }
 
-/// Writes the questions to a file, or to standard output without one, and prints what they are.
+/// Writes the questions to a file, or to standard output without one, and prints what they are to `out`.
 fn publish(
     set: &QuestionSet,
     world: &World,
     rules: RulesFile<'_>,
     (path, file): (&Path, Option<Output>),
     pictures: Option<&Path>,
+    mut out: impl Write,
 ) -> Result<(), Failure> {
     if file.is_none() {
         let mut out = io::BufWriter::new(terminal::data());
@@ -304,7 +307,7 @@ fn publish(
         .into_iter()
         .map(|action| format!("{} {}", action.name(), answers[action.index()]));
     let counts: Vec<String> = counts.collect();
-    let (mut out, count) = (messages(&[path]), set.questions.len());
+    let count = set.questions.len();
     if let Some(folder) = pictures {
         writeln!(
             out,
