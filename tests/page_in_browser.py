@@ -320,6 +320,37 @@ def test_zones_and_values_are_shown(browser: WebDriver, tmp_path: pathlib.Path) 
     assert pixels(browser) == shown
 
 
+@pytest.mark.parametrize("count", [1, 5])
+def test_actions_of_the_configuration_are_explained(
+    page: Callable[..., WebDriver], folder: pathlib.Path, count: int
+) -> None:
+    """Each agent has the explanation of its own action, however many actions the configuration defines."""
+    config, rules = folder / f"rest{count}.yaml", folder / f"rest{count}.dl"
+    names = [f"Rest{number}" for number in range(1, count + 1)]
+    defined = "".join(
+        f"    {name}: {{cells: {{Car: 0, Pedestrian: 0}}, park: {at + 3}}}\n" for at, name in enumerate(names)
+    )
+    order = ", ".join(["Stop", *names, "Slow", "Fast", "Normal"])
+    config.write_text(f"base: expert\nactions:\n  define:\n{defined}  priority: [{order}]\nrules: {rules.name}\n")
+    clauses = "".join(f".decl {name}(x: agent)\n.output {name}\n" for name in names)
+    clauses += "".join(f"{name}(X) :- IsOld(X), IsClose(X, Y), IsCar(Y).\n" for name in names)
+    rules.write_text(f'.include "expert.dl"\n{clauses}')
+    out = folder / f"rest{count}"
+    options = ["--seed", "4", "--ticks", "40", "--no-pictures", "--out", out, "--html", folder / f"rest{count}.html"]
+    subprocess.run([PROGRAM, "run", config, *options], cwd=ROOT, check=True, capture_output=True)
+    header, *ticks = [json.loads(line) for line in (out / "trace.jsonl").read_text().splitlines()]
+    taken = {state["action"] for tick in ticks for state in tick["agents"]}
+    assert {names[0], "Stop", "Normal"} <= taken
+    browser = page(name=f"rest{count}.html")
+    for tick in (0, 17, 39):
+        for agent, state in zip(header["agents"], ticks[tick]["agents"], strict=True):
+            browser.execute_script("location.hash = arguments[0]", f"#tick={tick}&agent={agent['id']}")
+            wanted = f"{agent['id']}\n{state['action']}"
+            WebDriverWait(browser, 5).until(lambda _, wanted=wanted: text(browser, "agent").startswith(wanted))
+            proof = browser.find_element(By.CSS_SELECTOR, "#agent .tree").text
+            assert proof.startswith(f"{state['action']}({agent['id']})"), (tick, agent["id"], proof)
+
+
 def test_the_chart_has_no_gaps(page: Callable[..., WebDriver]) -> None:
     clear = """const {width, height} = arguments[0];
         const {data} = arguments[0].getContext("2d").getImageData(0, 0, width, height);

@@ -115,7 +115,7 @@ class RecordedRun extends Run {
 
   /** Returns the number of the node that explains an action, or -1. */
   node(tick, agent, action) {
-    return this.why[tick]?.[4 * agent + action] ?? -1;
+    return this.why[tick]?.[this.data.actions.length * agent + action] ?? -1;
   }
 
   /** Returns the [tick, agent] of the firings of a clause, in order. */
