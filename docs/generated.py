@@ -438,9 +438,31 @@ RESULTS = (
 def results(name: str) -> str:
     """Return the tables of a file of results."""
     module = imported("logicity.experiments.results")
+    draw = functools.partial(chart.draw, axis=chart.AXES.get(name))
     with mock(OPTIONAL):
-        text: str = module.leaderboard(module.read_results(ROOT / "results" / f"{name}.json", name), 3, draw=chart.draw)
-    return text
+        text: str = module.leaderboard(module.read_results(ROOT / "results" / f"{name}.json", name), 3, draw=draw)
+    return TABLE.sub(folded, text)
+
+
+def chart_of(name: str) -> str:
+    """Return the chart of a file of results."""
+    return results(name).partition("### ")[0]
+
+
+#: A table in Markdown, and the number of rows up to which it is open.
+TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
+ROWS_OPEN = 40
+
+
+def folded(match: re.Match[str]) -> str:
+    """Return a table; a long one is closed until the reader opens it."""
+    rows = match[0].count("\n") - 2
+    if rows <= ROWS_OPEN:
+        return match[0]
+    opening, closing = (
+        f"```{{raw}} html\n{tag}\n```\n" for tag in (f"<details><summary>{rows} rows</summary>", "</details>")
+    )
+    return f"{opening}\n{match[0]}\n{closing}"
 
 
 # --- environments
@@ -619,7 +641,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "playground": playground,
     "rust": rust,
     "versions": versions,
-    "chart-observations": lambda: results("observations").partition("### ")[0],
+    **{f"chart-{name}": functools.partial(chart_of, name) for name in ("observations", "noise")},
     "chart-history": lambda: history.page((ROOT / "benches" / "history.jsonl").read_text(encoding="utf-8")).partition(
         "\n\n|"
     )[0],
