@@ -140,7 +140,7 @@ def _add_evaluate(to: _Parser) -> None:
 
 
 def _add_train(to: _Parser) -> None:
-    to.add("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
+    to.add("config", type=Path, help="a YAML file, or a built-in one such as dqn-easy")
     to.add("--run", type=Path, metavar="FOLDER", help="folder of the run; default: runs/CONFIG-SEED")
     to.add("--seed", type=_seed, help="replace the seed of the configuration")
     _add_wandb(to)
