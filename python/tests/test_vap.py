@@ -67,7 +67,7 @@ def test_samples_are_by_world_and_tick(hard: VapDataset, drawn: VapDataset) -> N
     assert len({len(sample.names) for sample in drawn}) > 1, "the tests need worlds of different sizes"
     assert (hard[-1].world, hard[-1].tick) == (1, 99)
     for index in (178, -179):
-        with pytest.raises(IndexError):
+        with pytest.raises(IndexError, match=f"no sample {index}: the data set has 178 samples"):
             hard[index]
 
 
@@ -249,7 +249,7 @@ def test_invalid_pictures_raise(damage: Callable[[bytes], bytes], message: str, 
 
 
 def test_invalid_data_sets_raise(own: Path, tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(FileNotFoundError, match="`logicity vap make` makes one"):
         VapDataset(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="has no pictures"):
         VapDataset(own)

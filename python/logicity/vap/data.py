@@ -207,8 +207,11 @@ class VapDataset(Sequence[VapSample]):
         return (self[position] for position in order[part::parts])
 
     def _cached(self, index: SupportsIndex) -> VapSample:
-        # Negative indices count from the end. `range` raises `IndexError` for indices out of range.
-        position = range(len(self))[as_index(index)]
+        try:
+            # Negative indices count from the end.
+            position = range(len(self))[as_index(index)]
+        except IndexError:
+            raise IndexError(f"no sample {as_index(index)}: the data set has {len(self)} samples") from None
         which = bisect_right(self._begins, position) - 1
         return self._tables(which)[position - self._begins[which]]
 
@@ -294,6 +297,9 @@ def reading_manifest(path: Path) -> Iterator[Path]:
     """Name the manifest in the exceptions of its reader."""
     try:
         yield path
+    except FileNotFoundError as error:
+        reason = "no data set is here; `logicity vap make` makes one"
+        raise FileNotFoundError(error.errno, reason, os.fspath(path)) from None
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         reason = f"the key {error} is missing" if isinstance(error, KeyError) else str(error)
         raise ValueError(f"`{path}` is not a manifest of `logicity vap make`: {reason}") from None
