@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -353,6 +354,32 @@ def test_a_defect_of_the_engine_is_reported(page: Callable[..., WebDriver]) -> N
     )
     until(browser, lambda: "The engine stopped: panicked at a test" in text(browser, "notice"))
     until(browser, lambda: 0 < tick(browser) < 20)
+
+
+def test_a_library_that_cannot_be_loaded_is_reported_once() -> None:
+    requests: list[str] = []
+
+    class Missing(Handler):
+        def do_GET(self) -> None:
+            requests.append(self.path)
+            if self.path.startswith("/logicity_playground"):
+                self.send_error(404)
+            else:
+                super().do_GET()
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Missing, directory=SITE))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    browser = start(1500, 1000)
+    try:
+        browser.get(f"http://127.0.0.1:{server.server_port}/")
+        until(browser, browser.find_element(By.ID, "fault").is_displayed)
+        assert "the library cannot be loaded; reload the page" in text(browser, "fault")
+        # The worker of the city and that of the checks request it. One that restarts would do so again.
+        time.sleep(1)
+        assert requests.count("/logicity_playground.js") == 2
+    finally:
+        browser.quit()
+        server.shutdown()
 
 
 def test_a_phone_needs_no_horizontal_scrolling(site: str) -> None:

@@ -23,6 +23,8 @@ class Rejected extends Error {
 class Service {
   constructor() {
     this.last = 0;
+    /** Whether a worker has answered: the library can be loaded. */
+    this.answered = false;
     this.start();
   }
 
@@ -31,23 +33,26 @@ class Service {
     this.waiting = new Map();
     this.worker = new Worker("worker.js", { type: "module" });
     this.worker.onmessage = ({ data }) => this.settle(data);
-    this.worker.onerror = (event) => this.fail(event.message || "the worker cannot be loaded");
+    const missing = "the library cannot be loaded; reload the page, or use another browser";
+    this.worker.onerror = (event) => this.fail(event.message || missing);
   }
 
   settle({ id, result, report, fault }) {
     const call = this.waiting.get(id);
     if (!call) return;
     if (fault) return this.fail(fault);
+    this.answered = true;
     this.waiting.delete(id);
     clearTimeout(call.timer);
     if (report) call.reject(new Rejected(report));
     else call.resolve(result);
   }
 
-  /** Rejects all calls and restarts. */
+  /** Rejects all calls and restarts, unless no worker has ever answered: another one would not, either. */
   fail(message) {
     const calls = [...this.waiting.values()];
-    this.start();
+    if (this.answered) this.start();
+    else this.worker.terminate();
     for (const { timer, reject } of calls) {
       clearTimeout(timer);
       reject(new Error(message));
