@@ -21,7 +21,7 @@ HEAD = 44
 LINES_MAX = 50
 
 #: The size of a panel with lines over a number, and the place of its axes: left, right, top and bottom.
-WIDTH, HEIGHT = 220, 158
+WIDTH, HEIGHT = 220, 163
 LEFT, RIGHT, TOP, BOTTOM = 28, 208, 28, 128
 #: The width of a character on an axis, and the space between two numbers.
 DIGIT, GAP = 6.0, 5.0
@@ -48,6 +48,8 @@ class Axis:
     number: str
     label: str
     panels: Literal["learners", "circumstances"]
+    #: The name of the circumstances of rows that name none.
+    plain: str = ""
 
 
 #: The axes of the experiments that have lines.
@@ -55,7 +57,7 @@ AXES = {
     "noise": Axis(r"\bnoise ([\d.]+)", "noise of the sensors", "circumstances"),
     "communication": Axis(r"\bk (\d+)", "told facts in each step, k", "circumstances"),
     "transfer": Axis(r"\b(\d+) %", "share of the demonstrations, %", "learners"),
-    "vap-continual": Axis(r"\b(\d+) %", "share of the pictures, %", "learners"),
+    "vap-continual": Axis(r"\b(\d+) %", "share of the pictures, %", "learners", plain="from easy"),
     "vap-steps": Axis(r"\b(\d+) %", "share of the pictures, %", "learners"),
 }
 
@@ -150,7 +152,7 @@ def _panels(rows: Iterable[Headline], axis: Axis) -> dict[str, list[_Point]]:
         learner, _, rest = row.name.partition(", ")
         found = re.search(axis.number, rest)
         words = rest if found is None else rest[: found.start()] + rest[found.end() :]
-        circumstances = ", ".join(filter(None, (word.strip() for word in words.split(","))))
+        circumstances = ", ".join(filter(None, (word.strip() for word in words.split(",")))) or axis.plain
         known.setdefault(circumstances, []).append((learner, None if found is None else float(found[1]), row))
     panels: dict[str, list[_Point]] = {}
     for name, points in known.items():

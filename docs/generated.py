@@ -455,13 +455,12 @@ ROWS_OPEN = 40
 
 
 def folded(match: re.Match[str]) -> str:
-    """Return a table; a long one is closed until the reader opens it."""
+    """Return a table of results; a long one is closed until the reader opens it."""
     rows = match[0].count("\n") - 2
-    if rows <= ROWS_OPEN:
-        return match[0]
-    opening, closing = (
-        f"```{{raw}} html\n{tag}\n```\n" for tag in (f"<details><summary>{rows} rows</summary>", "</details>")
-    )
+    element = "div" if rows <= ROWS_OPEN else "details"
+    summary = f"<summary>{rows} rows</summary>" if element == "details" else ""
+    tags = (f'<{element} class="results">{summary}', f"</{element}>")
+    opening, closing = (f"```{{raw}} html\n{tag}\n```\n" for tag in tags)
     return f"{opening}\n{match[0]}\n{closing}"
 
 

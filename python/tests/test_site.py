@@ -112,12 +112,12 @@ def test_a_common_row_begins_each_line_that_continues_its_name(chart: ModuleType
 
 
 def test_a_row_without_a_number_is_a_level(chart: ModuleType) -> None:
-    axis = chart.Axis(r"\b(\d+) %", "share", "learners")
+    axis = chart.Axis(r"\b(\d+) %", "share", "learners", plain="from easy")
     rows = [row("gnn, 1 %", 0.2), row("gnn, 100 %", 0.9), row("gnn, from scratch", 0.8)]
     [svg] = drawings(chart.draw("wAcc", {"hard": rows}, axis))
     [level] = [path for path in svg.iter(f"{SVG}path") if (path.get("class") or "").startswith("level")]
     assert f" {chart.BOTTOM - 0.8 * (chart.BOTTOM - chart.TOP):.1f} H{chart.RIGHT}" in (level.get("d") or "")
-    assert "from scratch 0.80" in (svg.get("aria-label") or "")
+    assert svg.get("aria-label") == "gnn: wAcc by share (1, 100). from easy 0.20, 0.90; from scratch 0.80"
 
 
 def test_names_of_rows_fit_beside_the_scale(chart: ModuleType) -> None:
