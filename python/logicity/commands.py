@@ -738,7 +738,7 @@ def _map_export(given: argparse.Namespace) -> int:
     for path in paths:
         print_message(f"wrote {path}")
     if find_program("netconvert") is None:
-        print_message("netconvert is not installed: the extra `sumo` has it, pip install './python[sumo]'")
+        print_message("netconvert is not installed: the extra `sumo` has it, pip install 'logicity[sumo]'")
     return 0
 
 

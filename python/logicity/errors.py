@@ -138,5 +138,5 @@ def extra(name: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        message = f"{error}; install the extra `{name}`: pip install './python[{name}]'"
+        message = f"{error}; install the extra `{name}`: pip install 'logicity[{name}]'"
         raise type(error)(message, name=error.name) from error

@@ -1,4 +1,4 @@
-"""Generate an icon pack with a diffusion model. Needs the extra `icons`: `pip install './python[icons]'`.
+"""Generate an icon pack with a diffusion model. Needs the extra `icons`: `pip install 'logicity[icons]'`.
 
 `logicity icons sheet --pack` and `logicity run --pack` read a pack, which has one folder of PNG files per class. The
 prompts come from templates. A function from text to text, such as a language model, can rewrite them.

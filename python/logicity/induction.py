@@ -239,7 +239,7 @@ def induce(
     Raises:
         BaseException: Any exception of the oracle. Its attribute `rules` has the rules learned so far, as have
             `KeyboardInterrupt` and the exceptions for a faulty oracle.
-        ImportError: If Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
+        ImportError: If Minari is not installed. The extra `offline` installs it: `pip install 'logicity[offline]'`.
         InputError: If the configuration or an option is invalid, two examples have the same facts and different
             actions, the oracle contradicts itself or an example, or no rules agree with all its answers.
         OSError: If a file cannot be read or written.

@@ -49,7 +49,7 @@ Slow(X) :- IsCar(X), n(90000000).
 def needs(module: str, extra: str) -> Any:
     """Return a module that an extra of the package installs. Skip the test, or the whole file, if it is missing."""
     return pytest.importorskip(
-        module, reason=f"needs {module.split('.')[0]}: pip install './python[{extra}]', or `make python-all`"
+        module, reason=f"needs {module.split('.')[0]}: pip install 'logicity[{extra}]', or `make python-all`"
     )
 
 

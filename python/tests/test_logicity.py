@@ -58,7 +58,7 @@ for use in (
 """
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
     extras = ["icons", "learn", "learn", "pettingzoo", "pettingzoo", "offline", "offline"]
-    expected = [f"the extra `{extra}`: pip install './python[{extra}]'" for extra in extras]
+    expected = [f"the extra `{extra}`: pip install 'logicity[{extra}]'" for extra in extras]
     assert (done.stdout.splitlines(), done.stderr) == (expected, "")
 
 
@@ -79,7 +79,7 @@ def test_modules_of_an_extra_name_it(hidden: str, module: str, extra: str) -> No
     text = f"import sys; sys.modules['{hidden}'] = None; import logicity.{module}"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
     assert done.returncode == 1
-    assert f"install the extra `{extra}`: pip install './python[{extra}]'" in done.stderr.splitlines()[-1]
+    assert f"install the extra `{extra}`: pip install 'logicity[{extra}]'" in done.stderr.splitlines()[-1]
 
 
 def test_the_core_works_without_gymnasium() -> None:
@@ -101,7 +101,7 @@ for use in (lambda: logicity.envs.single, lambda: demonstrations("easy", 1), lam
 """
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
     extras = ["gym", "gym", "pettingzoo"]
-    expected = [f"the extra `{extra}`: pip install './python[{extra}]'" for extra in extras]
+    expected = [f"the extra `{extra}`: pip install 'logicity[{extra}]'" for extra in extras]
     assert (done.stdout.splitlines(), done.stderr) == (["[(1,)] Normal", "1.0", *expected], "")
 
 

@@ -581,7 +581,7 @@ def test_without_torch_the_error_names_the_extra(hard: VapDataset) -> None:
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     lines = done.stdout.splitlines()
     assert len(lines) == 3 and all(
-        each.endswith("; install the extra `vap`: pip install './python[vap]'") for each in lines
+        each.endswith("; install the extra `vap`: pip install 'logicity[vap]'") for each in lines
     )
 
 

@@ -59,7 +59,7 @@ def test_the_wheel_installs_the_command(fresh: Environment) -> None:
     summary = fresh.run("logicity", "run", "expert", "--seed", "4", "--ticks", "20")
     assert "dense executor" in summary and (fresh.work / "out" / "city.gif").is_file()
     assert "usage: logicity train" in fresh.run("logicity", "train", "--help")
-    assert "pip install './python[learn]'" in fresh.run("logicity", "train", "dqn-easy", code=2)
+    assert "pip install 'logicity[learn]'" in fresh.run("logicity", "train", "dqn-easy", code=2)
     assert "TSR" in fresh.run("logicity", "evaluate", "--policy", "oracle", "--modes", "easy", "--split", "val")
 
 
@@ -73,7 +73,7 @@ print(session.rows("q"))
 """
     assert fresh.run("python", "-c", text) == "[('a',)]\n"
     message = fresh.run("python", "-c", "import logicity; logicity.envs.single", code=1)
-    assert "pip install './python[gym]'" in message
+    assert "pip install 'logicity[gym]'" in message
 
 
 def test_the_gym_extra_installs_environments(fresh: Environment, wheel: Path) -> None:

@@ -312,7 +312,7 @@ def test_a_window_shows_every_state() -> None:
 
 def test_a_window_needs_pygame(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pygame", None)
-    with pytest.raises(ImportError, match=r"pip install './python\[human\]'"):
+    with pytest.raises(ImportError, match=r"pip install 'logicity\[human\]'"):
         SPFEnv("easy", render_mode="human")
 
 

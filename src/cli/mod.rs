@@ -153,8 +153,8 @@ pub fn main() -> ExitCode {
     if let Some((words, _)) = python_command(&arguments) {
         let mut err = terminal::err();
         let package = match words {
-            ["train" | "experiment"] => "./python[learn]",
-            _ => "./python",
+            ["train" | "experiment"] => "logicity[learn]",
+            _ => "logicity",
         };
         let _ = writeln!(err, "error: `logicity {}` requires the Python package", words.join(" "));
         let _ = writeln!(

@@ -81,7 +81,7 @@ impl VideoOptions {
 
 /// Returns the program that encodes videos.
 fn encoder() -> Result<PathBuf, Failure> {
-    let get = "install it (Debian: `apt-get install ffmpeg`), or run `pip install './python[video]'`, which installs \
+    let get = "install it (Debian: `apt-get install ffmpeg`), or run `pip install 'logicity[video]'`, which installs \
                a copy";
     if let Some(program) = env::var_os(ENCODER).filter(|program| !program.is_empty()) {
         let program = PathBuf::from(program);

@@ -2639,8 +2639,8 @@ fn commands_of_the_python_package_refer_to_it() {
         &["vap", "coco", "a", "b"],
     ] {
         let package = match arguments[0] {
-            "train" => "`pip install './python[learn]'`",
-            _ => "`pip install './python'`",
+            "train" => "`pip install 'logicity[learn]'`",
+            _ => "`pip install 'logicity'`",
         };
         fails(&run(arguments, b""), 2, &["requires the Python package", package]);
     }

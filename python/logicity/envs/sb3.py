@@ -1,4 +1,4 @@
-"""Vectorized environments for Stable-Baselines3. Needs the extra `learn`: `pip install './python[learn]'`."""
+"""Vectorized environments for Stable-Baselines3. Needs the extra `learn`: `pip install 'logicity[learn]'`."""
 
 from __future__ import annotations
 

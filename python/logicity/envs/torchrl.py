@@ -1,4 +1,4 @@
-"""Batched environments for TorchRL. Needs the extra `torchrl`: `pip install './python[torchrl]'`."""
+"""Batched environments for TorchRL. Needs the extra `torchrl`: `pip install 'logicity[torchrl]'`."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def torch_dataset(
     process, 1 to 1024 `threads` decode the pictures of a batch. The other arguments are those of `VapDataset`.
 
     Raises:
-        ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
+        ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install 'logicity[vap]'`.
         OSError, ValueError: As for `VapDataset`.
     """
     from .loader import TorchVapDataset

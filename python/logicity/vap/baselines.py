@@ -55,7 +55,7 @@ def measure_baselines(
         The results of `majority`, `network` and `rules`.
 
     Raises:
-        ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
+        ImportError: If PyTorch is not installed. The extra `vap` installs it: `pip install 'logicity[vap]'`.
         OSError: If a file cannot be read.
         ValueError: As for `VapDataset`, or if a data set has no cars, the modes differ, the seed is out of range, or
             the number of epochs is below 1.

@@ -1,4 +1,4 @@
-"""PyTorch data sets and batches. Needs the extra `vap`: `pip install './python[vap]'`."""
+"""PyTorch data sets and batches. Needs the extra `vap`: `pip install 'logicity[vap]'`."""
 
 from __future__ import annotations
 
