@@ -12,7 +12,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all rllib page docs versions site links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all python-all-installed policies rllib page docs versions site links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -166,11 +166,26 @@ vscode:
 	mkdir -p target
 	cd $(VSCODE) && npm ci --no-audit --no-fund --ignore-scripts && npm run check && npm run package
 
-# `make python` skips the tests with Stable-Baselines3, since it depends on torch, which takes some gigabytes.
-python-all: wheel $(VENV)-all/$(BIN)/python$(EXE)
+python-all-installed: wheel $(VENV)-all/$(BIN)/python$(EXE)
 	$(VENV)-all/$(BIN)/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
 	$(VENV)-all/$(BIN)/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test-all]"
+
+# `make python` skips the tests with Stable-Baselines3, since it depends on torch, which takes some gigabytes.
+python-all: python-all-installed
 	$(VENV)-all/$(BIN)/python -m pytest -q python/tests
+
+# Not part of `make test`. Trains the policies that the package contains, and packs those that have the published hashes.
+# Everything stays the same unless a learner, episodes or published results change. The two variables make a network
+# the same on every x86-64 processor with AVX2.
+LOGICITY_ALL := $(VENV)-all/$(BIN)/logicity
+POLICY_RUNS := target/policies
+policies: python-all-installed
+	$(LOGICITY_ALL) experiment spf --only induce --seeds 0 --run $(POLICY_RUNS)/spf
+	MKL_CBWR=COMPATIBLE ATEN_CPU_CAPABILITY=avx2 \
+	    $(LOGICITY_ALL) experiment spf --only nlm-tuned,easy --seeds 1 --run $(POLICY_RUNS)/spf
+	$(LOGICITY_ALL) experiment town --only induce --run $(POLICY_RUNS)/town
+	$(LOGICITY_ALL) release python/logicity --only policies --runs $(POLICY_RUNS) \
+	    --results results/spf.json --results results/town.json
 
 # Not part of `make test`. Tests the environments with RLlib and the version of gymnasium that it pins.
 rllib: wheel $(VENV)-rllib/$(BIN)/python$(EXE)

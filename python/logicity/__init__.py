@@ -11,7 +11,7 @@ Where to start:
 - `observation_names` names the numbers of an observation.
 - `evaluate` measures one policy, `Benchmark` several. `demonstrations` returns trajectories of the oracle, and
   `induce` learns rules from them.
-- `RulePolicy` makes a policy of a rule file.
+- `RulePolicy` makes a policy of a rule file. `shipped_policies` lists the trained policies of this package.
 - `logicity.questions` sends multiple-choice questions to a language model and grades the replies.
 - `logicity.vap` makes and reads data sets of Visual Action Prediction.
 
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from .induction import InducedClause, InducedRules, Oracle, induce
     from .modes import ENVIRONMENTS, MODES
     from .offline import Demonstrations, Trajectory, demonstrations
+    from .packed import ShippedPolicy, shipped_policies
     from .predicates import KINDS, CityState, PythonPredicate, predicate
     from .rule_policy import RulePolicy
     from .rules import Change, Column, Explanation, Marginals, Predicate, Program, Rows, Session, check
@@ -80,6 +81,7 @@ _NAMES = {
     "envs.shield": ["shield"],
     "modes": ["ENVIRONMENTS", "MODES"],
     "offline": ["Demonstrations", "Trajectory", "demonstrations"],
+    "packed": ["ShippedPolicy", "shipped_policies"],
     "predicates": ["KINDS", "CityState", "PythonPredicate", "predicate"],
     "rule_policy": ["RulePolicy"],
     "rules": ["Change", "Column", "Explanation", "Marginals", "Predicate", "Program", "Rows", "Session", "check"],
@@ -155,6 +157,7 @@ __all__ = [
     "RuleStats",
     "Scene",
     "Session",
+    "ShippedPolicy",
     "Simulation",
     "Split",
     "StratumStats",
@@ -173,6 +176,7 @@ __all__ = [
     "parallel_env",
     "predicate",
     "shield",
+    "shipped_policies",
 ]
 
 register_with_gymnasium()

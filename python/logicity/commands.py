@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import date
 from difflib import get_close_matches
 from functools import cache, partial, reduce
@@ -27,8 +27,9 @@ from .evaluation import Benchmark, Evaluation, Interval, Policy, Progress, Shape
 from .figures import ENDINGS, plot_returns
 from .files import check_writable, write_json
 from .modes import ENVIRONMENTS, checked_mode
+from .packed import SHIPPED, packed_policies, shipped_policies
 from .signals import ending_on_signals
-from .terminal import flush, neutral, print_message, print_text
+from .terminal import aligned, flush, neutral, print_message, print_text
 from .types import ObservationKind, Split
 
 __all__ = ["SUMMARIES", "parser_of", "run"]
@@ -115,8 +116,9 @@ def parser_of(words: tuple[str, ...]) -> tuple[argparse.ArgumentParser, Callable
 
 def _add_evaluate(to: _Parser) -> None:
     help = (
-        "oracle, random, the file of a policy (.pt, .safetensors), a rule file (.dl), the folder of a run of `logicity "
-        "train`, a folder of policies of `logicity release`, or, with `--trust`, a model of Stable-Baselines3 (.zip)"
+        "oracle, random, a name that `logicity policies` lists, the file of a policy (.pt, .safetensors), a rule file "
+        "(.dl), the folder of a run of `logicity train`, a folder of policies of `logicity release`, or, with "
+        "`--trust`, a model of Stable-Baselines3 (.zip)"
     )
     to.add("--policy", required=True, help=help)
     _add_trust(to, "the policy")
@@ -137,6 +139,10 @@ def _add_evaluate(to: _Parser) -> None:
     to.add("--traces", type=Path, metavar="FOLDER", help="write one trace per episode into one folder per mode")
     help = "draw the return of every episode, and how it ended, in a .svg or .png file"
     to.add("--plot", type=_figure, metavar="FILE", help=help)
+
+
+def _add_policies(to: _Parser) -> None:
+    _add_json(to, "write the list, with the commands that train the policies")
 
 
 def _add_train(to: _Parser) -> None:
@@ -446,9 +452,9 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
     if not path.exists():
         if path.suffix or len(path.parts) > 1:
             raise FileNotFoundError(errno.ENOENT, "no such file", text)
-        near = get_close_matches(text, ("oracle", "random"), n=1)
+        near = get_close_matches(text, ("oracle", "random", *shipped_policies()), n=1)
         help = f"\nhelp: did you mean `{near[0]}`?" if near else ""
-        expected = "oracle, random, the file of a policy, or the folder of a run"
+        expected = "oracle, random, a name that `logicity policies` lists, the file of a policy, or the folder of a run"
         raise _UsageError(f"unknown policy `{text}`: expected {expected}{help}")
     from .rule_policy import policy_files
 
@@ -458,7 +464,12 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
     from .learn import load_policy
 
     saved = load_policy(path, trust=trust)
-    return saved.policy, saved.path.stem, saved.mode, saved.observation, saved.egos
+    return saved.policy, _name_of(saved.path), saved.mode, saved.observation, saved.egos
+
+
+def _name_of(file: Path) -> str:
+    """Return the name of a policy for tables: that of its file, or of its folder if it is packed."""
+    return (file.parent.name if file.stem == "policy" else "") or file.stem
 
 
 def _rule_file(text: str) -> Path | None:
@@ -743,8 +754,6 @@ def _map_export(given: argparse.Namespace) -> int:
 
 
 def _evaluate(given: argparse.Namespace) -> int:
-    from .release.policies import packed_policies
-
     _check_json(given, "evaluate")
     if given.plot is not None:
         with extra("learn"):
@@ -757,7 +766,8 @@ def _evaluate(given: argparse.Namespace) -> int:
     # A benchmark runs the random policy once for all policies.
     benchmark_of = cache(_benchmark)
     if packed is None:
-        runs = _runs(given, given.policy, None, None, benchmark_of)
+        shipped = None if Path(given.policy).exists() else shipped_policies().get(given.policy)
+        runs = _runs(given, given.policy if shipped is None else str(shipped.path), None, None, benchmark_of)
     for entry in packed or []:
         runs += _runs(given, str(Path(given.policy) / entry["file"]), entry["name"], entry["mode"], benchmark_of)
     if not runs:
@@ -782,6 +792,20 @@ def _evaluate(given: argparse.Namespace) -> int:
         plot_returns(given.plot, results, by="evaluate", overwrite=given.force)
         print_message(f"wrote {given.plot}")
     _write_json(given, "evaluate", [result.to_dict() for result in results])
+    return 0
+
+
+def _policies(given: argparse.Namespace) -> int:
+    _check_json(given, "policies")
+    rows: list[tuple[str, ...]] = [("policy", "mode", "learner", "extra", "measured on", "TSR", "DSR", "Score")]
+    for policy in shipped_policies().values():
+        for evaluation, measures in policy.measures.items():
+            values = (f"{measures[name]:.2f}" if name in measures else "-" for name in ("tsr", "dsr", "score"))
+            rows.append((policy.name, policy.mode, policy.learner, policy.extra or "-", evaluation, *values))
+    print_text(aligned(rows))
+    print_text(f"\nfiles and model cards: {SHIPPED}")
+    listed = [{**asdict(policy), "path": str(policy.path)} for policy in shipped_policies().values()]
+    _write_json(given, "policies", listed)
     return 0
 
 
@@ -815,7 +839,7 @@ def _runs(
     if rules is not None:
         # The same rules read the observations of each mode in another order.
         compiled = rule_policies(rules, modes)
-        name, modes = rules.stem, [each.mode for each in compiled]
+        name, modes = _name_of(rules), [each.mode for each in compiled]
         policies: list[Policy] = list(compiled)
     else:
         policy, name, trained, kind, egos = _named_policy(named, given.trust)
@@ -1120,6 +1144,7 @@ def _features(given: argparse.Namespace) -> int:
 
 _COMMANDS: dict[tuple[str, ...], tuple[Callable[[_Parser], None], Callable[[argparse.Namespace], int]]] = {
     ("evaluate",): (_add_evaluate, _evaluate),
+    ("policies",): (_add_policies, _policies),
     ("train",): (_add_train, _train),
     ("experiment",): (_add_experiment, _experiment),
     ("distill",): (_add_distill, _distill),

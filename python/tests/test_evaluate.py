@@ -510,7 +510,7 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
         (
             ["evaluate", "--policy", "foo"],
             2,
-            "unknown policy `foo`: expected oracle, random, the file of a policy",
+            "unknown policy `foo`: expected oracle, random, a name that `logicity policies` lists, the file",
         ),
         (["evaluate", "--policy", "oracle", "--modes", "easy", "--json", "no/such/folder.json"], 2, "error: "),
         (["evaluate", "--policy", "oracle", "--modes", "simple"], 2, "unknown mode `simple`"),

@@ -352,6 +352,7 @@ def test_arguments_and_names_of_files_are_neutral(words: tuple[str, ...], run: R
     (tmp_path / name).mkdir()
     by_command: dict[tuple[str, ...], list[list[str]]] = {
         ("evaluate",): [["--policy", "{}"], ["--policy", "oracle", "--modes", "{}"]],
+        ("policies",): [["--json", "{}"]],
         ("train",): [["{}"]],
         ("experiment",): [
             ["{}"],

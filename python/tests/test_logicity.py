@@ -222,6 +222,7 @@ def public_objects() -> list[Any]:
         *[city, city.tick(), city.agents[0], city.explain(0), logicity.Inference("easy")],
         *[logicity.Benchmark("easy", "val"), measured, measured.episodes[0], measured.tsr, shown, shown[0], *errors],
         *[rules, rules.clauses[0], logicity.Oracle("rules/easy.dl"), logicity.RulePolicy.from_text(rules.text, "easy")],
+        *logicity.shipped_policies().values(),
     ]
 
 

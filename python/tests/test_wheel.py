@@ -63,6 +63,16 @@ def test_the_wheel_installs_the_command(fresh: Environment) -> None:
     assert "TSR" in fresh.run("logicity", "evaluate", "--policy", "oracle", "--modes", "easy", "--split", "val")
 
 
+def test_the_wheel_contains_trained_policies(fresh: Environment) -> None:
+    lines = fresh.run("logicity", "policies").splitlines()[1:-2]
+    rules = [line.split()[0] for line in lines if line.split()[3] == "-"]
+    assert {"spf-induce-easy-0", "spf-induce-expert-0"} <= set(rules)
+    for name in rules:
+        assert name in fresh.run("logicity", "evaluate", "--policy", name, "--split", "val")
+    (network,) = {line.split()[0] for line in lines if line.split()[3] != "-"}
+    assert "pip install 'logicity[learn]'" in fresh.run("logicity", "evaluate", "--policy", network, code=2)
+
+
 def test_datalog_needs_numpy_only(fresh: Environment) -> None:
     text = """
 from logicity import Program, Session

@@ -3,11 +3,12 @@
 use std::ffi::OsString;
 
 /// The commands that the Python package implements, as words of the command line, and their summaries.
-pub const PYTHON_COMMANDS: [(&[&str], &str); 15] = [
+pub const PYTHON_COMMANDS: [(&[&str], &str); 16] = [
     (
         &["evaluate"],
         "Measure a policy on recorded episodes with the metrics of the paper",
     ),
+    (&["policies"], "List the trained policies that the package contains"),
     (
         &["train"],
         "Train a learner on Safe Path Following, or resume an interrupted run",

@@ -6,20 +6,18 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._logicity import __version__
 from ..files import file_hash, json_text, read_json, write_text
+from ..packed import INDEX, packed_policies
 from .cards import LICENSE, front_matter
 
 if TYPE_CHECKING:
     from ..experiments.task import Cell
 
-__all__ = ["INDEX", "LARGEST", "ResultsFile", "pack_policies", "packed_policies"]
-
-#: The file that lists the policies in a folder.
-INDEX = "policies.json"
+__all__ = ["LARGEST", "ResultsFile", "pack_policies"]
 
 #: Files of weights must be smaller, in bytes.
 LARGEST = 5_000_000
@@ -36,40 +34,6 @@ class ResultsFile:
 
     results: Path
     runs: Path
-
-
-def packed_policies(folder: Path) -> list[dict[str, Any]] | None:
-    """Return the entries of the index of a folder of policies, or `None` if the folder has no index.
-
-    Raises:
-        ValueError: If the index is faulty.
-    """
-    file = folder / INDEX
-    if not file.is_file():
-        return None
-    try:
-        index = read_json(file)
-        entries = index["policies"]
-        valid = index["format"] == 1 and all(
-            _is_folder_name(entry["name"])
-            and isinstance(entry["mode"], str)
-            and isinstance(entry["file"], str)
-            and (folder / entry["file"]).resolve().is_relative_to(folder.resolve())
-            for entry in entries
-        )
-        valid &= len({entry["name"] for entry in entries}) == len(entries)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{file} is not an index of policies: {error!r}") from None
-    if not valid:
-        faults = "or has a name twice, or one that is no name of a folder, or a file outside of its folder"
-        raise ValueError(f"{file} is not an index of policies of format 1, {faults}")
-    return list(entries)
-
-
-def _is_folder_name(name: object) -> bool:
-    """Return whether a name is that of a folder in any other folder, on every system."""
-    # Both `/` and `\` separate the parts of such paths, which may begin with a drive.
-    return isinstance(name, str) and "\0" not in name and name != ".." and PureWindowsPath(name).parts == (name,)
 
 
 def pack_policies(
@@ -224,6 +188,7 @@ def _model_card(name: str, experiment: str, rows: Sequence[Row], file: str, kind
         )
         table.append(f"| {row['evaluation']} | {' | '.join(shown)} |")
     hashes = "\n".join(f"- {key}: `{value}`" for key, value in _flat(first["hashes"]))
+    versions = ", ".join(f"{key} {value}" for key, value in first["versions"].items())
     parts = [
         f"# {name}",
         f"A policy of the learner `{first['learner']}` for Safe Path Following in {first['mode']} mode of LogiCity, "
@@ -232,7 +197,8 @@ def _model_card(name: str, experiment: str, rows: Sequence[Row], file: str, kind
         "\n".join(table),
         f"This command trains it and measures it again:\n\n```sh\n{first['command']}\n```",
         f"This one measures the file:\n\n```sh\nlogicity evaluate --policy {file} --modes {first['mode']}\n```",
-        f"SHA-256 of its {kind}: `{sha256}`. It was measured with these hashes:\n\n{hashes}",
+        f"SHA-256 of its {kind}: `{sha256}`. It was trained with {versions}, and measured with these hashes:",
+        hashes,
         "It decides for a simulated car by rules that are for study only, and must not control vehicles. "
         f"`rows.json` has the published results with all settings. Packed by logicity {__version__}; MIT license.",
     ]
