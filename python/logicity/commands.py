@@ -299,6 +299,29 @@ def _add_grade(to: _Parser) -> None:
     _add_json(to, "write the measures")
 
 
+def _add_study(to: _Parser) -> None:
+    to.add("questions", type=Path, nargs="?", default=Path("questions.jsonl"), help=QUESTIONS)
+    help = "the sheet to write: .html, which needs no other file, or .docx; default: study.html"
+    sheet = partial(_document, is_key=False)
+    to.add("-o", "--output", type=sheet, default=Path("study.html"), metavar="FILE", help=help)
+    help = "the key with the answers to write: .html, .docx or .csv; default: study-answers.csv"
+    key = partial(_document, is_key=True)
+    to.add("--answers", type=key, default=Path("study-answers.csv"), metavar="FILE", help=help)
+    to.add("--seed", type=_seed, default=0, help="seed of the order of questions and examples; default: 0")
+    help = "the largest number of solved examples, spread over the actions; default: all of the questions"
+    to.add("--examples", type=partial(_whole, least=0), metavar="N", help=help)
+    _add_force(to)
+
+
+def _document(text: str, is_key: bool) -> Path:
+    from .study import KEYS, SHEETS
+
+    known = KEYS if is_key else SHEETS
+    if Path(text).suffix not in known:
+        raise argparse.ArgumentTypeError(f"expected a file that ends in {' or '.join(known)}, not `{text}`")
+    return Path(text)
+
+
 def _add_webdataset(to: _Parser) -> None:
     to.add("folder", type=Path, help="the data set")
     to.add("out", type=Path, help="the folder to create")
@@ -1083,6 +1106,21 @@ def _grade(given: argparse.Namespace) -> int:
     return 0
 
 
+def _study(given: argparse.Namespace) -> int:
+    from .questions import load_questions
+    from .study import write_study
+
+    if given.output.resolve() == given.answers.resolve():
+        raise _UsageError("--output and --answers: name two files")
+    questions = load_questions(_existing(given.questions))
+    done = write_study(
+        questions, given.output, given.answers, seed=given.seed, examples=given.examples, overwrite=given.force
+    )
+    print_text(f"questions: {len(done.ids)}, solved examples: {done.examples}, in {given.output}")
+    print_text(f"answers: {given.answers}")
+    return 0
+
+
 def _describe(given: argparse.Namespace) -> int:
     from .describe import describe
 
@@ -1154,6 +1192,7 @@ _COMMANDS: dict[tuple[str, ...], tuple[Callable[[_Parser], None], Callable[[argp
     ("shards",): (_add_shards, _shards),
     ("ask",): (_add_ask, _ask),
     ("grade",): (_add_grade, _grade),
+    ("study",): (_add_study, _study),
     ("describe",): (lambda to: None, _describe),
     ("vap", "webdataset"): (_add_webdataset, _webdataset),
     ("vap", "coco"): (_add_coco, _coco),

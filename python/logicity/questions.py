@@ -162,13 +162,23 @@ class Question:
         return f"{rule}Answer: {answer}"
 
 
-def _data_url(path: Path) -> str:
+def picture_bytes(path: Path) -> bytes:
+    """Return the content of the picture of a question.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: If it is not PNG, or too large.
+    """
     check_readable(path)
     with open(path, "rb") as file:
         data = file.read(PICTURE_BYTES + 1)
     if not data.startswith(PNG) or len(data) > PICTURE_BYTES:
         raise ValueError(f"{path}: expected a PNG picture of at most {PICTURE_BYTES >> 20} MiB")
-    return f"data:image/png;base64,{base64.b64encode(data).decode()}"
+    return data
+
+
+def _data_url(path: Path) -> str:
+    return f"data:image/png;base64,{base64.b64encode(picture_bytes(path)).decode()}"
 
 
 def fingerprint(scene: Mapping[str, Any]) -> str:

@@ -365,6 +365,7 @@ def test_arguments_and_names_of_files_are_neutral(words: tuple[str, ...], run: R
         ("shards",): [["1", "--", "episodes", "make", "{}", "-o", "{}-out"], ["1", "--", "{}"]],
         ("ask",): [["--url", "http://{}", "--model", "{}", "-o", "{}", "--questions", "{}"]],
         ("grade",): [["{}"], [str(QUESTIONS), "--questions", "{}"]],
+        ("study",): [["{}"], ["{}", "-o", "{}.html", "--answers", "{}.csv"]],
         ("describe",): [[]],
         ("vap", "webdataset"): [["{}", "{}-out"]],
         ("vap", "coco"): [["{}", "{}-out"]],

@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 
 /// The commands that the Python package implements, as words of the command line, and their summaries.
-pub const PYTHON_COMMANDS: [(&[&str], &str); 16] = [
+pub const PYTHON_COMMANDS: [(&[&str], &str); 17] = [
     (
         &["evaluate"],
         "Measure a policy on recorded episodes with the metrics of the paper",
@@ -41,6 +41,10 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 16] = [
     (
         &["grade"],
         "Grade answers to questions by the actions that the rules derive",
+    ),
+    (
+        &["study"],
+        "Write questions as documents for people, with the answers in another document",
     ),
     (
         &["describe"],
