@@ -191,7 +191,11 @@ impl<'a> Composer<'a> {
             ) {
                 return did_you_mean_this(&near);
             }
-            return Some(format!("built in as {}: {}", kind.what, of(kind).join(", ")));
+            let mut names = of(kind);
+            if names.iter().any(|name| name.starts_with(written)) {
+                names.retain(|name| name.starts_with(written));
+            }
+            return Some(format!("built in as {}: {}", kind.what, names.join(", ")));
         }
         // Paths from another folder differ in their beginning.
         let trimmed = written.trim_start_matches(['.', '/']);

@@ -467,8 +467,10 @@ fn undefined(scenario: &Scenario, unknown: &[&Predicate], predicates: &[BasePred
                 fault = fault.help(format!("did you mean `{near}` by `{}`?", declared.name));
             }
         }
-        let help = "define the missing predicates under `predicates` in the configuration, or derive them by rules";
-        faults.push(fault.help(help));
+        faults.push(fault.help(
+            "define it in the configuration, for example `predicates: {define: {IsTruck: {concept: truck, of: Car}}}`, or \
+             derive it by rules",
+        ));
     }
     if let Some(fault) = report(&unused, "defines but does not use") {
         let used = scenario.predicates.iter().map(|known| known.name.value.as_str());

@@ -9,6 +9,9 @@ use crate::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION
 
 use crate::syntax::parser::{DIRECTIVES, FULL_STOP, MAX_NESTING, PAST, Parse, Parser, Reported};
 
+/// What follows the name of a predicate that begins a clause.
+const HEAD: &str = "the arguments of the head: `(`";
+
 impl Parser<'_> {
     /// Returns whether the current tokens are `?-`, without a space: `? - a` subtracts.
     fn at_question(&self) -> bool {
@@ -100,9 +103,9 @@ impl Parser<'_> {
 
     /// `A(x), B(x)`
     fn heads(&mut self) -> Parse<Vec<Atom>> {
-        let mut heads = vec![self.atom("the arguments of the head: `(`")?];
+        let mut heads = vec![self.atom(HEAD)?];
         while self.eat(Kind::Comma) {
-            heads.push(self.atom("the arguments of the head: `(`")?);
+            heads.push(self.atom(HEAD)?);
         }
         Ok(heads)
     }
@@ -148,7 +151,7 @@ impl Parser<'_> {
                 }
                 return Err(self.expected_with("`::`", Some(EACH_HEAD)));
             }
-            heads.push(self.atom("the arguments of the head: `(`")?);
+            heads.push(self.atom(HEAD)?);
             if self.kind() == Kind::Comma {
                 return Err(self.expected_with("`;`, `:-` or `.`", Some(ONE_HEAD)));
             }
@@ -183,7 +186,9 @@ impl Parser<'_> {
         let start = self.token();
         let predicate = self.qualified("a predicate")?;
         if !self.eat(Kind::LParen) {
-            return Err(self.expected(open));
+            let clause = (open == HEAD).then_some("a clause is `Head(x) :- Body(x, y), !Other(y).`");
+            let help = self.habit().or(clause);
+            return Err(self.expected_with(open, help));
         }
         let mut terms = Vec::new();
         if !self.eat(Kind::RParen) {
