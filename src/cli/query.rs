@@ -19,7 +19,8 @@ use crate::datalog::cancel::Cancel;
 use crate::datalog::codes;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{
-    ClauseId, Directive, EvalError, InputPolicy, MarkKind, PredicateId, RowPlace, Rules, Value, rewrite,
+    ClauseId, Directive, EvalError, InputPolicy, MarkKind, Past, Predicate, PredicateId, RowPlace, Rules, Value,
+    rewrite,
 };
 use crate::datalog::{
     Delta, EvalEvent, Limits, MarginalOptions, Marginals, Options, Program, RuleStats, Session, Threads, constraints,
@@ -163,16 +164,21 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             )));
         }
     }
+    // A question may be about any predicate.
+    let needed = match question {
+        None => needed(session.program().rules()),
+        Some(_) => every_predicate(session.program()),
+    };
     // The first one is checked when it is read, before any tick.
     for folder in &folders[1..] {
-        check_inputs(session.program(), folder)?;
+        check_inputs(session.program(), folder, &needed)?;
     }
     let mut times = None;
     for (tick, folder) in folders.iter().enumerate() {
         if tick > 0 {
             retract_inputs(&mut session);
         }
-        load_inputs(folder, &mut session, sources)?;
+        load_inputs(folder, &mut session, &needed, sources)?;
         if tick == 0 && question.is_none() && !arguments.plan && !arguments.marginals {
             outputs::check(session.program(), arguments, &inputs)?;
         }
@@ -387,7 +393,7 @@ fn print_predicate(
 }
 
 /// Returns the declared predicates in source order.
-pub(super) fn predicates(program: &Program) -> impl Iterator<Item = (PredicateId, &crate::datalog::Predicate)> {
+pub(super) fn predicates(program: &Program) -> impl Iterator<Item = (PredicateId, &Predicate)> {
     let predicates = program.rules().predicates.iter().enumerate();
     predicates.map(|(index, predicate)| {
         let id = PredicateId(u32::try_from(index).expect("fewer than 2^32 predicates"));
@@ -414,16 +420,21 @@ fn input_path(folder: &Path, predicate: &str, directive: &Directive) -> Option<P
 
 /// Returns the files of all input predicates; `-` for standard input.
 fn input_paths(program: &Program, folder: &Path) -> Vec<PathBuf> {
-    let of = |predicate: &crate::datalog::Predicate| -> Vec<PathBuf> {
-        let inputs = predicate
-            .directives
-            .iter()
-            .filter(|directive| directive.kind == MarkKind::Input);
-        inputs
-            .map(|directive| input_path(folder, &predicate.name, directive).unwrap_or_else(|| "-".into()))
-            .collect()
-    };
-    predicates(program).flat_map(|(_, predicate)| of(predicate)).collect()
+    let predicates = predicates(program);
+    predicates
+        .flat_map(|(_, predicate)| predicate_paths(predicate, folder))
+        .collect()
+}
+
+/// Returns the files of an input predicate; `-` for standard input.
+fn predicate_paths(predicate: &Predicate, folder: &Path) -> Vec<PathBuf> {
+    let inputs = predicate
+        .directives
+        .iter()
+        .filter(|directive| directive.kind == MarkKind::Input);
+    inputs
+        .map(|directive| input_path(folder, &predicate.name, directive).unwrap_or_else(|| "-".into()))
+        .collect()
 }
 
 /// Marks the facts of all input predicates to hold no longer, from the next commit on.
@@ -438,10 +449,34 @@ fn retract_inputs(session: &mut Session) {
     }
 }
 
-/// Reads the facts of every input predicate. Reports the faults of all files at once.
-pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
+/// Returns, by predicate, whether results or constraints depend on its rows. What operators read of earlier ticks counts
+/// as needed.
+fn needed(rules: &Rules) -> Vec<bool> {
+    let results = (0..).map(PredicateId).zip(&rules.predicates);
+    let results = results.filter(|(_, predicate)| predicate.output || predicate.printsize);
+    let constraints = rules.constraints.iter().flat_map(|declared| {
+        let domain = declared.domain.iter().map(|(predicate, _)| *predicate);
+        declared.constraint.predicates().chain(domain)
+    });
+    let earlier = rules.pasts.iter().flat_map(Past::operands);
+    rules.dependencies(results.map(|(id, _)| id).chain(constraints).chain(earlier))
+}
+
+/// Returns what marks every predicate as needed.
+pub(super) fn every_predicate(program: &Program) -> Vec<bool> {
+    vec![true; program.rules().predicates.len()]
+}
+
+/// Reads the facts of every input predicate, by their files; that of a predicate that is not `needed` may be missing, as
+/// in Soufflé. Reports the faults of all files at once.
+pub(super) fn load_inputs(
+    folder: &Path,
+    session: &mut Session,
+    needed: &[bool],
+    sources: &mut Sources,
+) -> Result<(), Failure> {
     let program = session.program().clone();
-    check_inputs(&program, folder)?;
+    check_inputs(&program, folder, needed)?;
     let mut faults = Vec::new();
     for (id, predicate) in predicates(&program) {
         for directive in predicate
@@ -450,6 +485,9 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
             .filter(|directive| directive.kind == MarkKind::Input)
         {
             let path = input_path(folder, &predicate.name, directive);
+            if !needed[id.index()] && path.as_ref().is_some_and(|path| !path.exists()) {
+                continue;
+            }
             let path = path.unwrap_or_else(|| PathBuf::from("standard input"));
             let input: Result<Box<dyn Read>, ReadError> = match &directive.place {
                 RowPlace::Terminal => Ok(Box::new(io::stdin())),
@@ -468,13 +506,14 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
-/// Refuses to read facts if the folder or several of its files are missing, and names them all.
-fn check_inputs(program: &Program, folder: &Path) -> Result<(), Failure> {
+/// Refuses to read facts if the folder or several of the needed files are missing, and names them all.
+fn check_inputs(program: &Program, folder: &Path, needed: &[bool]) -> Result<(), Failure> {
     if !folder.is_dir() {
         return Err(Failure::file("read facts from", folder, "no such folder"));
     }
-    let paths = input_paths(program, folder).into_iter();
+    let paths = predicates(program).filter(|(id, _)| needed[id.index()]);
     let missing: Vec<String> = paths
+        .flat_map(|(_, predicate)| predicate_paths(predicate, folder))
         .filter(|path| path.as_os_str() != "-" && !path.exists())
         .map(|path| format!("`{}`", path.display()))
         .collect();

@@ -132,7 +132,8 @@ impl<'s> Workbench<'s> {
 
     /// Reads the facts of all input predicates from a folder.
     pub fn load_facts(&mut self, folder: &Path) -> Result<Outcome, Failure> {
-        let loaded = query::load_inputs(folder, &mut self.session, self.sources);
+        let every = query::every_predicate(self.session.program());
+        let loaded = query::load_inputs(folder, &mut self.session, &every, self.sources);
         self.commit(loaded)
     }
 

@@ -697,18 +697,21 @@ impl Rules {
 
     /// Returns whether the rows of a predicate depend on those of another, through any number of clauses.
     pub fn depends_on(&self, predicate: PredicateId, other: PredicateId) -> bool {
-        let mut is_known = vec![false; self.predicates.len()];
-        let mut open = vec![predicate];
+        self.dependencies([predicate])[other.index()]
+    }
+
+    /// Returns, by predicate, whether the rows of the given predicates depend on its rows in the same tick, through any
+    /// number of clauses. Each given predicate depends on itself.
+    pub fn dependencies(&self, predicates: impl IntoIterator<Item = PredicateId>) -> Vec<bool> {
+        let by_head = self.clauses_by_head();
+        let mut found = vec![false; self.predicates.len()];
+        let mut open: Vec<PredicateId> = predicates.into_iter().collect();
         while let Some(predicate) = open.pop() {
-            if predicate == other {
-                return true;
-            }
-            if !std::mem::replace(&mut is_known[predicate.index()], true) {
-                let clauses = self.clauses.iter().filter(|clause| clause.head.predicate == predicate);
-                open.extend(clauses.flat_map(|clause| self.reads(clause)));
+            if !std::mem::replace(&mut found[predicate.index()], true) {
+                open.extend(by_head[predicate.index()].iter().flat_map(|clause| self.reads(clause)));
             }
         }
-        false
+        found
     }
 
     /// Returns the rules of a single tick: what they read of earlier ticks is input, and so are draws.

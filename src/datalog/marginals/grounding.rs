@@ -550,14 +550,7 @@ fn uncertain(rules: &Rules, inputs: &BTreeSet<PredicateId>, weights: &BTreeMap<C
 
 /// Keeps the predicates on which the queries depend.
 fn relevant(rules: &Rules, mut uncertain: Vec<bool>, queries: &[PredicateId]) -> Vec<bool> {
-    let mut needed = vec![false; uncertain.len()];
-    let mut open: Vec<PredicateId> = queries.to_vec();
-    while let Some(predicate) = open.pop() {
-        if !std::mem::replace(&mut needed[predicate.index()], true) {
-            let clauses = rules.clauses.iter().filter(|clause| clause.head.predicate == predicate);
-            open.extend(clauses.flat_map(|clause| rules.reads(clause)));
-        }
-    }
+    let needed = rules.dependencies(queries.iter().copied());
     uncertain
         .iter_mut()
         .zip(needed)
