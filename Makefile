@@ -12,7 +12,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all python-all-installed policies rllib page docs versions site links playground vscode solvers solvers-marginals peers bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all python-all-installed policies rllib page docs versions site links playground vscode solvers solvers-marginals peers souffle bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -272,6 +272,12 @@ tag: release-check package
 PEERS_OPTIONS ?= --repeats 3
 peers:
 	cargo run --release --locked --manifest-path benches/peers/Cargo.toml -- $(PEERS_OPTIONS)
+
+# Not part of `make test`. Compares the results of random programs with those of Soufflé, which must be installed; it also
+# needs a C++ compiler for functors. LOGICITY_RANDOM_CASES=6400 compares 5,000 programs instead of 200.
+SOUFFLE ?= souffle
+souffle:
+	SOUFFLE=$(SOUFFLE) cargo test --locked -p logicity-datalog --test datalog -- --ignored --nocapture souffle_derives
 
 # Not part of `make test`. Measures this commit and appends a line to the history, which the page `Benchmarks` draws. The
 # machine should be idle.

@@ -296,7 +296,7 @@ fn random_programs_derive_what_the_naive_evaluator_derives() {
 
 /// Compares sessions of random programs over `e` and `i`, with their functors `defined`, with the naive evaluator and with
 /// fresh sessions.
-pub fn change_alike(programs: u32, random_program: fn(&mut Random) -> String, defined: fn(Program) -> Program) {
+pub fn change_alike(programs: u32, random_program: impl Fn(&mut Random) -> String, defined: fn(Program) -> Program) {
     for seed in 0..u64::from(cases(programs).cases) {
         let mut random = Random(seed);
         let text = random_program(&mut random);
