@@ -12,7 +12,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all python-all-installed policies rllib page docs versions site links playground vscode solvers solvers-marginals peers souffle bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all python-all-installed policies rllib page docs versions site links playground vscode solvers solvers-marginals peers souffle souffle-tests bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -278,6 +278,10 @@ peers:
 SOUFFLE ?= souffle
 souffle:
 	SOUFFLE=$(SOUFFLE) cargo test --locked -p logicity-datalog --test datalog -- --ignored --nocapture souffle_derives
+
+# Not part of `make test`. Runs the programs of Soufflé's own tests: SOUFFLE_TESTS is the folder `tests` of its source.
+souffle-tests:
+	SOUFFLE_TESTS=$(abspath $(SOUFFLE_TESTS)) cargo test --locked --test program -- --ignored --nocapture souffles_tests
 
 # Not part of `make test`. Measures this commit and appends a line to the history, which the page `Benchmarks` draws. The
 # machine should be idle.

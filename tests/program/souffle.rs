@@ -1,8 +1,9 @@
 //! Programs for Soufflé on the command line and in editors: macros, folders of includes, instances of components.
 
 use crate::cli::{code, err, fails, out, run};
-use std::fs;
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::{env, fs};
 
 fn write(folder: &Path, files: &[(&str, &str)]) {
     for (name, text) in files {
@@ -138,4 +139,87 @@ fn a_component_is_reported_once_for_all_instances() {
         "{said}"
     );
     assert!(said.contains("in the instance `a` of `A`, made here"), "{said}");
+}
+
+/// The programs of Soufflé's tests that have other results here, each with the reason.
+const DIFFERENT: &[(&str, &str)] = &[
+    ("aggregate_witnesses", "an aggregate in a comparison has no witness"),
+    ("bad_regex", "an invalid regular expression is an error"),
+    ("choice_highest_mark", "`choice-domain` keeps another row"),
+    ("issue2508", "the program calls functors in C++"),
+    ("match5", "an invalid regular expression is an error"),
+    ("math", "neither has `sin`; Soufflé's tests omit the program"),
+    ("rangeop", "a `range` of unsigned numbers does not count down"),
+];
+
+/// Runs the programs of Soufflé's source whose folder `tests` is the environment variable `SOUFFLE_TESTS`.
+#[test]
+#[ignore = "needs the source of Soufflé; `make souffle-tests` runs it"]
+fn programs_of_souffles_tests_have_its_results() {
+    let tests = env::var_os("SOUFFLE_TESTS").expect("SOUFFLE_TESTS is the folder of Soufflé's tests");
+    let mut different = BTreeSet::new();
+    let mut total = 0;
+    for kind in ["evaluation", "example"] {
+        for folder in fs::read_dir(Path::new(&tests).join(kind)).expect("a folder") {
+            let folder = folder.expect("an entry").path();
+            let name = folder.file_name().expect("a name").to_string_lossy().into_owned();
+            let rules = folder.join(format!("{name}.dl"));
+            if !rules.exists() {
+                continue;
+            }
+            total += 1;
+            // Some programs have several folders, each with facts and results.
+            let inner = fs::read_dir(&folder)
+                .expect("a folder")
+                .map(|entry| entry.expect("an entry").path());
+            let mut cases: Vec<PathBuf> = inner.filter(|path| path.join(format!("{name}.out")).exists()).collect();
+            let facts = folder.join("facts");
+            let facts = if facts.exists() { facts } else { folder.clone() };
+            let alone = cases.is_empty().then_some((folder.clone(), facts));
+            let wrong: Vec<String> = (cases.drain(..).map(|case| (case.clone(), case)).chain(alone))
+                .flat_map(|(results, facts)| differences(&rules, &name, &facts, &results))
+                .collect();
+            if !wrong.is_empty() {
+                eprintln!("{kind}/{name}: {}", wrong.join("; "));
+                different.insert(name);
+            }
+        }
+    }
+    eprintln!("{} of {total} programs have the same results", total - different.len());
+    let known: BTreeSet<String> = DIFFERENT.iter().map(|(name, _)| (*name).to_owned()).collect();
+    assert_eq!(different, known);
+}
+
+/// Returns how the results of a program differ from the files in the folder `results`.
+fn differences(rules: &Path, name: &str, facts: &Path, results: &Path) -> Vec<String> {
+    let made = tempfile::tempdir().unwrap();
+    let arguments = [rules, Path::new("-F"), facts, Path::new("-D"), made.path()];
+    let mut arguments = arguments.map(|argument| argument.to_str().expect("UTF-8")).to_vec();
+    arguments.splice(0..0, ["query", "--output-anywhere"]);
+    let ran = run(&arguments, b"");
+    if code(&ran) != 0 {
+        return vec![err(&ran).lines().next().unwrap_or_default().to_owned()];
+    }
+    let lines = |text: &[u8]| -> BTreeSet<String> {
+        let text = String::from_utf8_lossy(text);
+        text.lines()
+            .filter(|line| !line.is_empty())
+            .map(str::to_owned)
+            .collect()
+    };
+    let mut wrong = Vec::new();
+    let printed = fs::read(results.join(format!("{name}.out"))).unwrap_or_default();
+    if lines(&printed) != lines(out(&ran).as_bytes()) {
+        wrong.push("standard output".to_owned());
+    }
+    for file in fs::read_dir(results).unwrap().map(|entry| entry.unwrap().path()) {
+        if file.extension().is_some_and(|extension| extension == "csv") {
+            let found = made.path().join(file.file_name().unwrap());
+            let same = fs::read(&found).is_ok_and(|found| lines(&found) == lines(&fs::read(&file).unwrap()));
+            if !same {
+                wrong.push(file.file_name().unwrap().to_string_lossy().into_owned());
+            }
+        }
+    }
+    wrong
 }
