@@ -26,7 +26,7 @@ from .files import reserved, write_text
 from .questions import LETTERS, NO_RULE, Demonstration, Question, picture_bytes
 from .terminal import neutral
 
-__all__ = ["COLORS", "SHEETS", "KEYS", "Study", "write_study"]
+__all__ = ["COLORS", "Study", "write_study"]
 
 SHEETS: Final = (".html", ".docx")
 KEYS: Final = (*SHEETS, ".csv")
