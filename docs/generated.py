@@ -378,11 +378,12 @@ def experiment_files(task: str) -> str:
     schema = json.loads(run("schema", "experiment"))
     parts = [keys_of(schema["$defs"][task])]
     for key, value in schema["$defs"][task]["properties"].items():
-        inner = value.get("additionalProperties")
-        if isinstance(inner, dict):
-            parts.append(f"### `{key}.NAME`\n\n{inner['description']}\n\n{keys_of(inner)}")
-        elif "properties" in value:
-            parts.append(f"### `{key}`\n\n{value['description']}\n\n{keys_of(value)}")
+        for one in value.get("anyOf", [value]):
+            inner = one.get("additionalProperties")
+            if isinstance(inner, dict):
+                parts.append(f"### `{key}.NAME`\n\n{inner['description']}\n\n{keys_of(inner)}")
+            elif "properties" in one:
+                parts.append(f"### `{key}`\n\n{value['description']}\n\n{keys_of(one)}")
     return "\n".join(parts)
 
 

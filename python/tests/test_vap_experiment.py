@@ -545,3 +545,36 @@ def test_failures_of_cells_are_reported(tiny: Path, tmp_path: Path) -> None:
     _, cells = cells_of(tiny, only=[("modular-gnn",)])
     with pytest.raises(ValueError, match="the part `concepts` of the model to start from has another architecture"):
         run_cell(prepare(cells[1], tmp_path / "run"))
+
+
+@pytest.mark.parametrize("method", ["unrolled", "implicit"])
+def test_bilevel_training_lowers_the_loss_of_the_fitted_reasoner(tiny: Path, tmp_path: Path, method: str) -> None:
+    changes = (
+        f"stage: bilevel, reasoner: gnn, bilevel: {{method: {method}}}, training: {{epochs: 12, learning_rate: 0.003}}"
+    )
+    tiny.write_text(TINY.replace("stage: end-to-end, reasoner: nlm", changes).replace("fraction: 0.3, ", ""))
+    _, cells = cells_of(tiny, only=[("e2e-nlm",)])
+    settings = settings_of(cells[0])
+    assert settings.bilevel is not None and settings.bilevel.method == method and settings.bilevel.inner_steps == 5
+    measured = run_cell(prepare(cells[0], tmp_path / "run"))
+    losses = [epoch["loss"] for epoch in measured["result"]["history"]]
+    assert losses[-1] < 0.95 * losses[0], losses
+    model = torch.load(cells[0].task.model(cells[0].folder(tmp_path / "run")), weights_only=True)
+    assert model["reasoner"] and model["concepts"] and set(measured["evaluations"]) == {""}
+    # The same seed gives the same weights.
+    again = run_cell(prepare(cells[0], tmp_path / "again"))
+    assert again["result"]["model_sha256"] == measured["result"]["model_sha256"]
+
+
+def test_only_bilevel_training_has_its_settings() -> None:
+    assert "bilevel" not in VapSettings().model_dump()
+    assert (
+        VapSettings(stage="bilevel").model_dump()
+        == VapSettings.model_validate({"stage": "bilevel", "bilevel": {}}).model_dump()
+    )
+    with pytest.raises(ValueError, match="hyperparameters of the stage `bilevel`"):
+        VapSettings.model_validate({"stage": "end-to-end", "bilevel": {}})
+    with pytest.raises(ValueError, match="cannot be combined with the stage `bilevel`"):
+        VapSettings.model_validate({"stage": "bilevel", "groundings": "exact"})
+    with pytest.raises(ValueError, match="has nothing to train"):
+        VapSettings.model_validate({"stage": "bilevel", "reasoner": "rules"})

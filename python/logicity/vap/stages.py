@@ -19,7 +19,7 @@ from ..errors import extra
 
 with extra("vap"):
     import torch
-    from pydantic import Field, model_validator
+    from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
     from pydantic_core import PydanticCustomError
     from torch import Tensor
 
@@ -30,6 +30,7 @@ from ..files import read_tensors
 from ..learn.settings import Seed, StrictModel
 from ..rules import Program
 from ..tasks import files_hash
+from .bilevel import BilevelSettings
 from .concepts import RELATIONS, ConceptModel, ConceptSettings
 from .data import BINARY, UNARY, symbolic_facts
 from .features import Backbone, DataSpec, Kind, prepared, weights_file, weights_file_hash
@@ -38,6 +39,7 @@ from .reasoners import make_reasoner, rule_degrees
 from .training import (
     Samples,
     TrainingSettings,
+    bilevel_loss,
     concept_loss,
     concept_measures,
     end_to_end_loss,
@@ -69,7 +71,7 @@ class Worlds(StrictModel):
 class VapSettings(StrictModel):
     """What is trained on which data."""
 
-    stage: Literal["concepts", "reasoning", "end-to-end", "induction", "bound"] = "concepts"
+    stage: Literal["concepts", "reasoning", "end-to-end", "bilevel", "induction", "bound"] = "concepts"
     """Which parts are trained, and what predicts the actions."""
     agents: Literal["fixed", "random"] = "random"
     """The agents of the worlds for training and validation."""
@@ -91,17 +93,36 @@ class VapSettings(StrictModel):
     """For `perception: features`, the file of the backbone's weights. A path is relative to the working directory. By
     default torchvision's cache has the file."""
     reasoner: Literal["gnn", "nlm", "rules"] = "gnn"
-    """A graph network (`gnn`) or a Neural Logic Machine (`nlm`), for the stages `reasoning` and `end-to-end`; or the
-    rules of the mode (`rules`), for the stage `end-to-end`, so that concepts are learned from actions through them."""
+    """A graph network (`gnn`) or a Neural Logic Machine (`nlm`), for the stages `reasoning`, `end-to-end` and
+    `bilevel`; or the rules of the mode (`rules`), for the stage `end-to-end`, so that concepts are learned from actions
+    through them."""
     groundings: Literal["predicted", "exact"] = "predicted"
     """The truth values on which a reasoner is trained and tested, or from which rules are learned."""
     training: TrainingSettings = TrainingSettings()
     """The hyperparameters of training."""
+    bilevel: BilevelSettings | None = None
+    """The hyperparameters of the stage `bilevel`. Other stages have none."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_bilevel(cls, given: Any) -> Any:
+        """Write out the defaults of the stage `bilevel`."""
+        if isinstance(given, Mapping) and given.get("stage") == "bilevel" and given.get("bilevel") is None:
+            return {**given, "bilevel": {}}
+        return given
+
+    @model_serializer(mode="wrap")
+    def _short(self, serialized: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit the hyperparameters of another stage, as cells and published rows do."""
+        values: dict[str, Any] = serialized(self)
+        return {name: value for name, value in values.items() if name != "bilevel" or value is not None}
 
     @model_validator(mode="after")
     def _consistent(self) -> VapSettings:
         stage, exact, features = self.stage, self.groundings == "exact", self.concepts.perception == "features"
-        if exact and stage in ("concepts", "end-to-end"):
+        if self.bilevel is not None and stage != "bilevel":
+            raise _fault("bilevel", "`bilevel` has hyperparameters of the stage `bilevel`")
+        if exact and stage in ("concepts", "end-to-end", "bilevel"):
             fault = f"`groundings: exact` cannot be combined with the stage `{stage}`, which predicts the concepts"
             raise _fault("groundings", fault)
         if not exact and stage == "bound":
@@ -302,16 +323,21 @@ def _train(work: VapWork) -> Trained:
     """
     train, val, start = work.samples("train"), work.samples("val"), work.started()
     stage, settings = work.settings.stage, work.settings.training
-    names = {"concepts": ["concepts"], "reasoning": ["reasoner"], "end-to-end": ["concepts", "reasoner"]}[stage]
+    names = {"concepts": ["concepts"], "reasoning": ["reasoner"]}.get(stage, ["concepts", "reasoner"])
     # The stage `reasoning` may start from a model that has only concepts.
     parts = {name: work.part(name, start if stage != "reasoning" or name in start else {}) for name in names}
-    kept = {}
+    kept, count = {}, len(train)
     if stage == "concepts":
         rules, loss = work.rules(), concept_loss(parts["concepts"], train, settings.class_power)
     elif stage == "reasoning":
         kept = {name: start[name] for name in start if name == "concepts"}
         of_train, of_val = (_groundings(work, start, samples) for samples in (train, val))
         loss = reasoning_loss(parts["reasoner"], *of_train, train, settings.class_power)
+    elif work.settings.bilevel is not None:
+        bilevel = work.settings.bilevel
+        lower, upper = train.split(bilevel.held_out, work.seed)
+        loss = bilevel_loss(parts["concepts"], parts["reasoner"], lower, upper, bilevel, settings.class_power)
+        count = len(lower)
     else:
         loss = end_to_end_loss(parts["concepts"], parts["reasoner"], train, settings.class_power)
 
@@ -324,7 +350,7 @@ def _train(work: VapWork) -> Trained:
         return float(np.mean(list(evaluation(predicted, val)["recall"].values())))
 
     network = torch.nn.ModuleDict(parts) if len(parts) > 1 else parts[names[0]]
-    history = fit(network, loss, len(train), settings, work.seed, score, work.folder / "checkpoint.pt", work.report)
+    history = fit(network, loss, count, settings, work.seed, score, work.folder / "checkpoint.pt", work.report)
     return {**kept, **{name: part.state_dict() for name, part in parts.items()}}, history
 
 

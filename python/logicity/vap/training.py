@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,9 +29,11 @@ with extra("vap"):
     from pydantic import SerializerFunctionWrapHandler, model_serializer, model_validator
     from pydantic_core import PydanticCustomError
     from torch import Tensor, nn
+    from torch.func import functional_call
 
 from ..learn.settings import Count, LearningRate, NonNegative, Share, StrictModel
 from ..learn.storage import restore_optimizer
+from .bilevel import BilevelSettings, surrogate
 from .concepts import RELATIONS, ConceptModel, pairs_of
 from .loader import as_tensors, padded_batch
 from .reasoners import GraphReasoner
@@ -144,6 +146,22 @@ class Samples:
         count = max(1, round(fraction * len(self)))
         order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
         chosen = order[:count].sort().values
+        return self.part(chosen)
+
+    def split(self, share: float, seed: int) -> tuple[Samples, Samples]:
+        """Return two random parts, in their order, of which the second has the share, and each at least one sample.
+
+        Raises:
+            ValueError: If there are fewer than two samples.
+        """
+        if len(self) < 2:
+            raise ValueError("one sample cannot be split")
+        count = min(max(1, round(share * len(self))), len(self) - 1)
+        order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
+        return self.part(order[count:].sort().values), self.part(order[:count].sort().values)
+
+    def part(self, chosen: Tensor) -> Samples:
+        """Return the samples at B positions, int64 (B,)."""
         batch = self.batch(chosen)
         return Samples(*({name: batch[name] for name in names} for names in (self.facts, self.inputs)))
 
@@ -214,15 +232,63 @@ def end_to_end_loss(concepts: ConceptModel, reasoner: nn.Module, samples: Sample
     return _action_loss(logits, samples, power)
 
 
+def bilevel_loss(
+    concepts: ConceptModel,
+    reasoner: nn.Module,
+    samples: Samples,
+    held_out: Samples,
+    settings: BilevelSettings,
+    power: float,
+) -> Loss:
+    """Return the loss of bilevel training, see `logicity.vap.bilevel`.
+
+    The lower level fits the reasoner to the predicted concepts of some samples, and its weights become the fitted ones.
+    The loss is that of the fitted reasoner on as many held-out samples, drawn at random, and trains the concepts.
+    """
+    lower, upper = _Level(concepts, reasoner, samples, power), _Level(concepts, reasoner, held_out, power)
+
+    def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
+        others = torch.randperm(len(held_out), generator=generator)[: len(chosen)]
+        inputs = lower.predicted(chosen, generator), upper.predicted(others, generator)
+        return surrogate(lower.objective(chosen), upper.objective(others), inputs, reasoner, settings)
+
+    return loss
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A level of bilevel training: the samples of its loss."""
+
+    concepts: ConceptModel
+    reasoner: nn.Module
+    samples: Samples
+    power: float
+
+    def predicted(self, chosen: Tensor, generator: torch.Generator) -> list[Tensor]:
+        """Return the groundings of the samples at some positions."""
+        return [torch.sigmoid(each) for each in self.concepts(_augmented(self.samples.batch(chosen), generator))]
+
+    def objective(self, chosen: Tensor) -> Callable[[Mapping[str, Tensor], Sequence[Tensor]], Tensor]:
+        """Return the loss of weights of the reasoner, for the groundings of the samples at these positions."""
+        valid, weighted = self.samples.facts["valid"][chosen], _weighted(self.samples, self.power)
+        return lambda weights, inputs: weighted(functional_call(self.reasoner, dict(weights), (*inputs, valid)), chosen)
+
+
 def _action_loss(logits: Callable[[Tensor, torch.Generator], Tensor], samples: Samples, power: float) -> Loss:
     """Return the weighted cross entropy of the actions of cars, 0 if there are none, from a function to logits."""
+    weighted = _weighted(samples, power)
+    return lambda chosen, generator: weighted(logits(chosen, generator), chosen)
+
+
+def _weighted(samples: Samples, power: float) -> Callable[[Tensor, Tensor], Tensor]:
+    """Return the loss of logits for the samples at some positions."""
     facts = samples.facts
     weights = action_weights(facts["actions"][facts["mask"]], power)
 
-    def loss(chosen: Tensor, generator: torch.Generator) -> Tensor:
+    def loss(logits: Tensor, chosen: Tensor) -> Tensor:
         cars = facts["mask"][chosen]
         actions = facts["actions"][chosen][cars]
-        each = nn.functional.cross_entropy(logits(chosen, generator)[cars], actions, weights, reduction="sum")
+        each = nn.functional.cross_entropy(logits[cars], actions, weights, reduction="sum")
         return each / weights[actions].sum().clamp(min=1e-6)
 
     return loss
