@@ -37,6 +37,7 @@ __all__ = [
     "read_file",
     "read_rules",
     "roads",
+    "read_mask",
     "read_picture",
     "read_steps",
     "read_world",
@@ -414,6 +415,7 @@ def read_world(
     npt.NDArray[np.bool_],
     npt.NDArray[np.bool_],
 ]: ...
+def read_mask(path: _Path, out: npt.NDArray[np.uint8]) -> None: ...
 def read_picture(path: _Path, out: npt.NDArray[np.uint8]) -> None: ...
 def make_dataset(
     folder: _Path,
@@ -424,6 +426,7 @@ def make_dataset(
     first_world: int,
     seed: int,
     images: bool,
+    masks: bool,
     pack: _Path | None,
     pack_mode: str,
     difficulty: int,

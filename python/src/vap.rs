@@ -11,7 +11,7 @@ use logicity::diag::{Diagnostic, Sources};
 use logicity::files::{FileError, Folder, ReadError, read_file, read_folders};
 use logicity::render::{
     Difficulty, DrawingVersion, Icons, Mode as PackMode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, PixelBox,
-    read_png_into,
+    read_mask_into, read_png_into,
 };
 use logicity::sim::LoadedCity;
 use logicity::task::vap::codes;
@@ -20,7 +20,7 @@ use logicity::task::vap::{
     Agents, Dataset, DatasetError, DatasetRequest, DatasetWriter, Mode, SIDE, WORLDS_MAX, published_worlds,
 };
 use numpy::ndarray::{Array2, ArrayView1, array};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadwriteArray3, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadwriteArray2, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyFileExistsError, PyFileNotFoundError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -35,6 +35,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("WORLDS_MAX", WORLDS_MAX)?;
     module.add_function(wrap_pyfunction!(read_world, module)?)?;
     module.add_function(wrap_pyfunction!(read_picture, module)?)?;
+    module.add_function(wrap_pyfunction!(read_mask, module)?)?;
     module.add_function(wrap_pyfunction!(make_dataset, module)?)?;
     module.add_function(wrap_pyfunction!(check_dataset, module)?)
 }
@@ -220,9 +221,14 @@ fn read_world(
 }
 
 /// Decodes a PNG file with these numbers of rows and columns.
-fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result<(), DatasetError> {
+fn decode(
+    path: &Path,
+    read: impl FnOnce(&[u8], (u32, u32), &mut [u8]) -> Result<(), String>,
+    (rows, columns): (u32, u32),
+    pixels: &mut [u8],
+) -> Result<(), DatasetError> {
     let bytes = read_bytes(path.to_owned())?;
-    read_png_into(&bytes, (columns, rows), pixels).map_err(faulty)
+    read(&bytes, (columns, rows), pixels).map_err(faulty)
 }
 
 /// Decodes a picture into an array of shape (rows, columns, 3). Releases the GIL.
@@ -235,7 +241,21 @@ fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8
     let side = |length: usize| u32::try_from(length).map_err(|_| wrong());
     let size = (side(rows)?, side(columns)?);
     let pixels = slice_of(&mut out, 3 * rows * columns)?;
-    let decoded = py.detach(|| decode(&path, size, pixels));
+    let decoded = py.detach(|| decode(&path, read_png_into, size, pixels));
+    decoded.map_err(|error| raise_in(py, error, &path))
+}
+
+/// Reads a mask into an array of shape (rows, columns). Releases the GIL.
+#[pyfunction]
+fn read_mask(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray2<'_, u8>) -> PyResult<()> {
+    let wrong = || PyValueError::new_err("expected an array of shape (rows, columns)");
+    let [rows, columns] = *out.shape() else {
+        return Err(wrong());
+    };
+    let side = |length: usize| u32::try_from(length).map_err(|_| wrong());
+    let size = (side(rows)?, side(columns)?);
+    let pixels = slice_of(&mut out, rows * columns)?;
+    let decoded = py.detach(|| decode(&path, read_mask_into, size, pixels));
     decoded.map_err(|error| raise_in(py, error, &path))
 }
 
@@ -311,6 +331,7 @@ fn make_dataset(
     first_world: u32,
     seed: u64,
     images: bool,
+    masks: bool,
     pack: Option<PathBuf>,
     pack_mode: &str,
     difficulty: u8,
@@ -335,6 +356,7 @@ fn make_dataset(
         shard: None,
         seed,
         pictures: images,
+        masks,
         threads: threads_of(threads)?,
     };
     let signals = Signals::new();

@@ -31,7 +31,9 @@ from logicity.vap import (
     UNARY,
     VapDataset,
     VapSample,
+    check_dataset,
     collate,
+    make_dataset,
     measure_baselines,
     to_coco,
     to_webdataset,
@@ -192,6 +194,46 @@ def test_entities_outside_the_picture_have_no_box(own: Path, tmp_path: Path) -> 
     to_coco(own, tmp_path / "boxes.json", images=False)
     coco = check_coco(tmp_path / "boxes.json", samples)
     assert len(coco["annotations"]) == 2 * 89 * 14 - outside.sum()
+
+
+def test_masks_show_the_entities(tmp_path: Path) -> None:
+    folder = tmp_path / "masked"
+    samples = make_dataset(folder, "hard", "test", worlds=1, images=False, masks=True)
+    assert samples.has_masks and not samples.has_pictures
+    check_dataset(folder)
+    partly = 0
+    for index in range(0, len(samples), 8):
+        sample, mask = samples[index], samples.entity_mask(index)
+        assert mask.shape == (PICTURE_SIDE, PICTURE_SIDE) and mask.dtype == np.uint8
+        assert set(np.unique(mask)) - {0} == {at + 1 for at in np.flatnonzero(np.nan_to_num(sample.visible) > 0)}
+        for at in np.flatnonzero(np.nan_to_num(sample.visible) > 0).tolist():
+            rows, columns = np.nonzero(mask == at + 1)
+            x, y, width, height = sample.boxes[at].tolist()
+            assert x <= columns.min() and columns.max() < x + width and y <= rows.min() and rows.max() < y + height
+            partly += sample.visible[at] < 1
+    assert partly > 0
+    # COCO has the pixels as run lengths in columns.
+    to_coco(folder, tmp_path / "masks.json", images=False)
+    coco = json.loads((tmp_path / "masks.json").read_text())
+    mask = samples.entity_mask(40)
+    numbers = {name: at + 1 for at, name in enumerate(samples[40].names)}
+    of_sample = [each for each in coco["annotations"] if each["image_id"] == 40]
+    assert of_sample
+    for annotation in of_sample:
+        counts = annotation["segmentation"]["counts"]
+        pixels = np.repeat(np.arange(len(counts)) % 2, counts).reshape(PICTURE_SIDE, PICTURE_SIDE).T
+        assert np.array_equal(pixels == 1, mask == numbers[annotation["name"]])
+        assert annotation["segmentation"]["size"] == [PICTURE_SIDE, PICTURE_SIDE]
+        assert annotation["area"] == int(pixels.sum()) and all(count > 0 for count in counts[1:])
+    (folder / "world-00000" / "mask-011.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="not a valid PNG"):
+        samples.entity_mask(0)
+
+
+def test_a_data_set_without_masks_says_so(hard: VapDataset) -> None:
+    assert not hard.has_masks
+    with pytest.raises(ValueError, match="has no masks: make it with masks=True"):
+        hard.entity_mask(0)
 
 
 def image_of(sample: VapSample) -> NDArray[np.uint8]:

@@ -82,6 +82,9 @@ struct Make {
     /// Write tables only; boxes are the same as with pictures
     #[arg(long)]
     no_pictures: bool,
+    /// Also write a mask for each picture: a grayscale PNG with the number of the agent that each pixel shows
+    #[arg(long)]
+    masks: bool,
     #[command(flatten)]
     icons: IconOptions,
     /// Folder to write
@@ -192,6 +195,7 @@ impl Make {
             shard: self.shard.shard,
             seed: worlds.seed,
             pictures: !self.no_pictures,
+            masks: self.masks,
             threads: worlds.threads,
         };
         let icons = self.icons.load(request.icon_seed(), &city.scenario.looks)?;

@@ -16,12 +16,39 @@ pub fn write_png(picture: &Picture, out: impl Write) -> io::Result<()> {
     write(pixels, (width, height), png::ColorType::Rgb, (png::Filter::Up, 2), out)
 }
 
+/// Writes a mask, such as that of [`Renderer::mask`](crate::render::Renderer::mask), as a grayscale PNG.
+///
+/// # Errors
+/// Errors of the output.
+///
+/// # Panics
+/// If there is not one byte per pixel.
+pub fn write_mask(mask: &[u8], (width, height): (u32, u32), out: impl Write) -> io::Result<()> {
+    assert_eq!(mask.len(), width as usize * height as usize);
+    let settings = (png::Filter::Up, 6);
+    write(mask, (width, height), png::ColorType::Grayscale, settings, out)
+}
+
+/// Reads a grayscale PNG with eight bits per pixel, of known width and height, into `mask`, row by row.
+///
+/// # Errors
+/// A message if the bytes are not such a PNG, or it has another size.
+///
+/// # Panics
+/// If `mask` does not have one byte per pixel.
+pub fn read_mask_into(bytes: &[u8], size: (u32, u32), mask: &mut [u8]) -> Result<(), String> {
+    let (reader, found) = begin(bytes, png::ColorType::Grayscale)?;
+    check_size(found, size)?;
+    assert_eq!(mask.len(), size.0 as usize * size.1 as usize);
+    decode(reader, mask)
+}
+
 /// Reads an RGB PNG with eight bits per channel.
 ///
 /// # Errors
 /// A message if the bytes are not such a PNG, or a side has more than 16,384 pixels.
 pub fn read_png(bytes: &[u8]) -> Result<Picture, String> {
-    let (reader, (width, height)) = begin(bytes)?;
+    let (reader, (width, height)) = begin(bytes, png::ColorType::Rgb)?;
     if width.max(height) > DECODED_SIDE_MAX {
         return Err(format!(
             "{width} x {height} pixels; no side may have more than {DECODED_SIDE_MAX}"
@@ -40,13 +67,8 @@ pub fn read_png(bytes: &[u8]) -> Result<Picture, String> {
 /// # Panics
 /// If `pixels` does not have three bytes per pixel.
 pub fn read_png_into(bytes: &[u8], size: (u32, u32), pixels: &mut [u8]) -> Result<(), String> {
-    let (reader, found) = begin(bytes)?;
-    if found != size {
-        return Err(format!(
-            "{} x {} pixels instead of {} x {}",
-            found.0, found.1, size.0, size.1
-        ));
-    }
+    let (reader, found) = begin(bytes, png::ColorType::Rgb)?;
+    check_size(found, size)?;
     assert_eq!(pixels.len(), 3 * size.0 as usize * size.1 as usize);
     decode(reader, pixels)
 }
@@ -54,14 +76,28 @@ pub fn read_png_into(bytes: &[u8], size: (u32, u32), pixels: &mut [u8]) -> Resul
 type PngReader<'a> = png::Reader<Cursor<&'a [u8]>>;
 
 /// Reads the header; returns the reader with width and height.
-fn begin(bytes: &[u8]) -> Result<(PngReader<'_>, (u32, u32)), String> {
+fn begin(bytes: &[u8], colors: png::ColorType) -> Result<(PngReader<'_>, (u32, u32)), String> {
     let reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(unreadable)?;
     let info = reader.info();
-    if (info.color_type, info.bit_depth) != (png::ColorType::Rgb, png::BitDepth::Eight) {
-        return Err("the pixels are not 8-bit RGB".to_owned());
+    if (info.color_type, info.bit_depth) != (colors, png::BitDepth::Eight) {
+        let expected = match colors {
+            png::ColorType::Rgb => "RGB",
+            _ => "grayscale",
+        };
+        return Err(format!("the pixels are not 8-bit {expected}"));
     }
     let size = info.size();
     Ok((reader, size))
+}
+
+fn check_size(found: (u32, u32), expected: (u32, u32)) -> Result<(), String> {
+    match found == expected {
+        true => Ok(()),
+        false => Err(format!(
+            "{} x {} pixels instead of {} x {}",
+            found.0, found.1, expected.0, expected.1
+        )),
+    }
 }
 
 fn decode(mut reader: PngReader<'_>, pixels: &mut [u8]) -> Result<(), String> {

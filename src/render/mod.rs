@@ -72,7 +72,7 @@ pub use beside::beside;
 pub use class::{Class, Facing};
 pub use close_up::CloseUp;
 pub use difficulty::{Difficulty, DrawingVersion};
-pub use encode::{Animation, read_png, read_png_into, write_png};
+pub use encode::{Animation, read_mask_into, read_png, read_png_into, write_mask, write_png};
 pub use framing::Framing;
 pub use ground::{GroundPlan, Site};
 pub use icon::{Atlas, ICON_MAX, Icons};

@@ -59,12 +59,8 @@ impl Placement {
         let mut fractions = vec![None; agents.len()];
         // From the top down: each body, with its box.
         let mut above: Vec<(PlacedBody, PixelBox)> = Vec::new();
-        let covers = self.covers(agents).filter_map(|Placed { stamp, x, y }| {
-            let body = PlacedBody {
-                body: Arc::clone(&stamp.body),
-                x,
-                y,
-            };
+        let covers = (self.covers(agents)).filter_map(|cover| {
+            let body = cover.body();
             let area = self.clipped(&body)?;
             Some((body, area))
         });
@@ -95,6 +91,32 @@ impl Placement {
             above.push((body, area));
         }
         fractions
+    }
+
+    /// Returns what each pixel of the picture shows, row by row: one more than the position of an agent, and 0 where no
+    /// agent is or a cover hides it. The pixels of an agent are those that [`Placement::visible`] counts.
+    ///
+    /// # Panics
+    /// If there are more than 255 agents.
+    pub fn mask(&self, agents: &[Sprite<'_>]) -> Vec<u8> {
+        let (width, height) = self.view.size();
+        let mut mask = vec![0; width as usize * height as usize];
+        let mut paint = |body: &PlacedBody, value: u8| {
+            let Some(area) = self.clipped(body) else { return };
+            let (right, bottom) = (area.x + area.width.cast_signed(), area.y + area.height.cast_signed());
+            for (x, y) in (area.y..bottom).flat_map(|y| (area.x..right).map(move |x| (x, y))) {
+                if body.contains(x, y) {
+                    mask[y.cast_unsigned() as usize * width as usize + x.cast_unsigned() as usize] = value;
+                }
+            }
+        };
+        for at in drawing_order(agents) {
+            if let Some(body) = self.body(&agents[at]) {
+                paint(&body, u8::try_from(at + 1).expect("there are at most 255 agents"));
+            }
+        }
+        self.covers(agents).for_each(|cover| paint(&cover.body(), 0));
+        mask
     }
 
     fn body(&self, agent: &Sprite<'_>) -> Option<PlacedBody> {
@@ -200,6 +222,15 @@ struct Placed {
 }
 
 impl Placed {
+    /// Returns its pixels that are at least half opaque.
+    fn body(&self) -> PlacedBody {
+        PlacedBody {
+            body: Arc::clone(&self.stamp.body),
+            x: self.x,
+            y: self.y,
+        }
+    }
+
     /// Returns its pixels in the picture, which may extend beyond the picture.
     fn area(&self) -> PixelBox {
         PixelBox {
@@ -347,6 +378,14 @@ impl Renderer {
         self.placement.visible(agents)
     }
 
+    /// Returns which agent each pixel shows, as [`Placement::mask`].
+    ///
+    /// # Panics
+    /// If there are more than 255 agents.
+    pub fn mask(&self, agents: &[Sprite<'_>]) -> Vec<u8> {
+        self.placement.mask(agents)
+    }
+
     pub(super) fn pixel_box(&self, agent: &Sprite<'_>) -> Option<PixelBox> {
         self.placement.pixel_box(agent)
     }
@@ -478,7 +517,14 @@ mod tests {
 
     /// Reference implementation of [`Placement::visible`]: paints the number of each agent over its body, pixel by
     /// pixel, and counts what is left in the end. The bodies are those of complete drawings.
-    fn slowly_visible(icons: &Icons, view: &Viewport, map: &CityMap, agents: &[Sprite<'_>]) -> Vec<(u32, u32)> {
+    /// Returns how many pixels of each agent the picture shows, how many it has in the picture, and the agent of each
+    /// pixel.
+    fn slowly_visible(
+        icons: &Icons,
+        view: &Viewport,
+        map: &CityMap,
+        agents: &[Sprite<'_>],
+    ) -> (Vec<(u32, u32)>, Vec<Option<usize>>) {
         let (width, height) = view.size();
         let mut owner = vec![None; (width * height) as usize];
         let mut counts = vec![(0, 0); agents.len()];
@@ -513,8 +559,34 @@ mod tests {
                 }
             }
         }
-        owner.into_iter().flatten().for_each(|at| counts[at].0 += 1);
-        counts
+        owner.iter().flatten().for_each(|&at| counts[at].0 += 1);
+        (counts, owner)
+    }
+
+    /// Draws the agents without each of them: only its own pixels of the mask change, to what is below it, and every
+    /// pixel of the picture that changes is near the agent.
+    fn without_each(renderer: &Renderer, agents: &[Sprite<'_>], mask: &[u8]) {
+        let whole = renderer.draw(agents);
+        for at in 0..agents.len() {
+            let mut others = agents.to_vec();
+            others.remove(at);
+            let (rest, picture) = (renderer.mask(&others), renderer.draw(&others));
+            let number = at as u8 + 1;
+            let mut own = 0;
+            for (place, (&now, &then)) in mask.iter().zip(&rest).enumerate() {
+                let renumbered = then + u8::from(then >= number);
+                if now == number {
+                    let pixel = 3 * place..3 * place + 3;
+                    own += u32::from(whole.pixels()[pixel.clone()] != picture.pixels()[pixel]);
+                } else if agents[at].framing.is_none() {
+                    // Without a cover of its own, the agent hides only what it shows.
+                    assert_eq!(now, renumbered, "agent {at}");
+                }
+            }
+            let shown = mask.iter().filter(|&&value| value == number).count();
+            // A pixel may have the color of what is below it.
+            assert!(f64::from(own) >= 0.9 * shown as f64, "agent {at}: {own} of {shown}");
+        }
     }
 
     #[test]
@@ -572,7 +644,11 @@ mod tests {
                     let expected = map.contains(agent.at).then(|| drawn(&icons(), &view, agent).1);
                     assert_eq!(found, expected.flatten(), "case {case}");
                 }
-                let counts = slowly_visible(&icons(), &view, &map, &agents);
+                let (counts, owners) = slowly_visible(&icons(), &view, &map, &agents);
+                let mask = renderer.mask(&agents);
+                let owners = owners.into_iter().map(|owner| owner.map_or(0, |at| at as u8 + 1));
+                assert!(owners.eq(mask.iter().copied()), "case {case}");
+                without_each(&renderer, &agents, &mask);
                 let visible = placement.visible(&agents);
                 assert_eq!(renderer.visible(&agents), visible, "case {case}");
                 for (at, (shown, all)) in counts.into_iter().enumerate() {

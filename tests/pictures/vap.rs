@@ -7,7 +7,7 @@ use logicity::city::{AgentKind, Split};
 use logicity::diag::Sources;
 use logicity::diag::codes;
 use logicity::files::{Folder, Overwrite};
-use logicity::render::{Difficulty, DrawingVersion, Icons, Picture, PixelBox, read_png, write_png};
+use logicity::render::{Difficulty, DrawingVersion, Icons, Picture, PixelBox, read_mask_into, read_png, write_png};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::LoadedCity;
 use logicity::task::vap::table::{Sample, Table, Values, samples};
@@ -610,6 +610,86 @@ fn tampered_sets_are_found_out(folder: &Path) {
     refused(&["check", path], &["other rules"]);
     restore();
     check();
+}
+
+/// Masks show each agent in its box where the tables say that it is visible, leave the other files as they are, and are
+/// found out if they do not.
+#[test]
+fn masks_show_the_agents() {
+    let folder = tempfile::tempdir().unwrap();
+    let [plain, masked] = ["plain", "masked"].map(|name| folder.path().join(name));
+    make(&plain, &["--worlds", "2"]);
+    make(&masked, &["--worlds", "2", "--masks"]);
+    let (without, with) = (contents(&plain), contents(&masked));
+    let is_mask = |name: &str| name.contains("/mask-");
+    assert_eq!(with.keys().filter(|name| is_mask(name)).count(), 2 * 89);
+    for name in without.keys().filter(|name| name.ends_with(".parquet")) {
+        assert_eq!(with[name], without[name], "{name}");
+    }
+    assert_eq!(with.len(), without.len() + 2 * 89);
+    let card = String::from_utf8(with["README.md"].clone()).unwrap();
+    assert!(
+        card.contains("mask-TTT.png") && card.contains("--no-pictures --masks"),
+        "{card}"
+    );
+    let path = masked.to_str().unwrap();
+    let check = || stdout_of(&["check", path]);
+    assert!(check().starts_with("worlds: 2, frames: 178, pictures: 0, every label follows from the facts\n"));
+
+    // The masks are those of the frames, whose agents have the order of the table.
+    let worlds = worlds_at(50, DrawingVersion::V2, Agents::Fixed, Split::Test);
+    let table = Table::read(with["world-00001/entities.parquet"].clone()).unwrap();
+    let (visible, ticks) = (
+        logicity::task::vap::table::visible(&table).unwrap(),
+        table.ints("tick").unwrap(),
+    );
+    let mut row = 0;
+    for frame in worlds.frames(1).unwrap() {
+        let mut mask = vec![0; SIDE as usize * SIDE as usize];
+        let name = format!("world-00001/mask-{:03}.png", frame.tick);
+        read_mask_into(&with[&name], (SIDE, SIDE), &mut mask).unwrap();
+        assert!(mask == worlds.mask(&frame), "{name}");
+        for number in 1..=frame.agents.len() {
+            assert_eq!(u64::try_from(ticks[row]).unwrap(), frame.tick);
+            let shows = mask.iter().any(|&value| usize::from(value) == number);
+            assert_eq!(
+                shows,
+                visible[row].is_some_and(|fraction| fraction > 0.0),
+                "{name}, agent {number}"
+            );
+            row += 1;
+        }
+    }
+    assert_eq!(row, table.rows());
+
+    let (first, last) = ("world-00001/mask-011.png", "world-00001/mask-099.png");
+    let mut other = vec![0; SIDE as usize * SIDE as usize];
+    read_mask_into(&with[first], (SIDE, SIDE), &mut other).unwrap();
+    *other.iter_mut().find(|value| **value == 0).unwrap() = 200;
+    let unknown = encoded(&other, SIDE, png::ColorType::Grayscale);
+    let black = encoded(&vec![0; SIDE as usize * SIDE as usize], SIDE, png::ColorType::Grayscale);
+    let faults: [(&[u8], &str); 5] = [
+        (&with[last], "row "),
+        (&unknown, "a pixel has the value 200, but the tick has fewer agents"),
+        (&black, "has pixels, unlike its visible fraction, or lacks them"),
+        (b"no picture", "not a valid PNG"),
+        (
+            &encoded(&[0; 16], 4, png::ColorType::Grayscale),
+            "4 x 4 pixels instead of 1024 x 1024",
+        ),
+    ];
+    for (bytes, words) in faults {
+        put(&masked, first, bytes);
+        refused(&["check", path], &["invalid-data-set", words, "mask-011.png"]);
+        put(&masked, first, &with[first]);
+    }
+    put(&masked, first, &encoded(&vec![0; 3 << 20], SIDE, png::ColorType::Rgb));
+    refused(&["check", path], &["the pixels are not 8-bit grayscale"]);
+    put(&masked, first, &with[first]);
+    check();
+    // The option belongs to the settings.
+    let again = [&MAKE[..], &["--out", path]].concat();
+    fails(2, &again, &["manifest.json", "other settings"]);
 }
 
 /// Replaces a file of world 1 and its record in the manifest.

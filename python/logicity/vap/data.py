@@ -112,6 +112,7 @@ class VapDataset(Sequence[VapSample]):
         agents: The sets of agents: `"fixed"` or `"random"`.
         images: Whether pictures are read.
         has_pictures: Whether the data set has pictures, according to the manifest.
+        has_masks: Whether it has masks.
 
     Raises:
         OSError: If a file cannot be read.
@@ -126,6 +127,7 @@ class VapDataset(Sequence[VapSample]):
         self.folder, self.images = Path(checked_path("folder", folder)), images
         settings, counts = _read_manifest(self.folder)
         self.has_pictures: bool = settings["pictures"]
+        self.has_masks: bool = settings["masks"]
         if images and not self.has_pictures:
             raise ValueError(f"`{self.folder}` has no pictures: pass images=False (command line: `--no-pictures`)")
         self.mode: str = settings["mode"]
@@ -182,6 +184,24 @@ class VapDataset(Sequence[VapSample]):
         if out.shape != (PICTURE_SIDE, PICTURE_SIDE, 3):
             raise ValueError(f"expected an array of shape (1024, 1024, 3), not {out.shape}")
         _logicity.read_picture(self.picture_path(index), out)
+
+    def entity_mask(self, index: SupportsIndex) -> NDArray[np.uint8]:
+        """Return which entity each pixel of a sample's picture shows, as uint8 (1024, 1024).
+
+        A pixel is 0 where no entity shows, and otherwise one more than the position of the entity in the sample. Pixels
+        count as in `VapSample.visible`.
+
+        Raises:
+            InputError: If the mask is invalid.
+            OSError: If the file cannot be read.
+            ValueError: If the data set has no masks.
+        """
+        if not self.has_masks:
+            raise ValueError(f"`{self.folder}` has no masks: make it with masks=True (command line: `--masks`)")
+        mask = np.empty((PICTURE_SIDE, PICTURE_SIDE), np.uint8)
+        sample = self._cached(index)
+        _logicity.read_mask(self._world_folder(sample.world) / f"mask-{sample.tick:03}.png", mask)
+        return mask
 
     def iterate(self, seed: int = 0, *, shuffle: bool = True, shard: tuple[int, int] = (0, 1)) -> Iterator[VapSample]:
         """Iterate over the samples once, in an order that the seed determines.
@@ -282,7 +302,8 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
         )
     with reading_manifest(path):
         counts = {count_in(world, "world"): count_in(world, "frames") for world in manifest["worlds"]}
-        return {name: settings[name] for name in ("mode", "agents", "split", "pictures")}, counts
+        found = {name: settings[name] for name in ("mode", "agents", "split", "pictures")}
+        return {**found, "masks": settings.get("masks", False)}, counts
 
 
 def count_in(world: Mapping[str, Any], key: str) -> int:

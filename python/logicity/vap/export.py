@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..city import ACTIONS
 from ..errors import checked_integer, checked_path
@@ -92,7 +93,7 @@ def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
 def to_coco(
     folder: str | os.PathLike[str], out: str | os.PathLike[str], *, images: bool = True, overwrite: bool = False
 ) -> None:
-    """Write the boxes of a data set as COCO JSON, atomically.
+    """Write the boxes, and the masks if there are some, of a data set as COCO JSON, atomically.
 
     Beyond the keys of COCO, the file has these:
 
@@ -100,7 +101,8 @@ def to_coco(
     - `images` have `world` and `tick`. Each `file_name` is relative to the folder of the data set.
     - `annotations` have `name`, `concepts`, `visible` (the fraction of the icon that no other icon covers) and, for
       cars, `action`. Each entity in the picture has an annotation. Its `bbox` is the left edge, upper edge, width and
-      height in pixels, and its `area` is that of the box.
+      height in pixels, and its `area` is that of the box. With masks, `segmentation` has the run lengths of the pixels
+      that the entity shows, without compression, and `area` is their number.
     - `categories` are `car`, `ambulance`, `bus`, `police`, `tiro`, `reckless`, `pedestrian`, `old` and `young`, with
       ids from 1, followed by the combinations of concepts that occur, such as `bus+tiro`. The `supercategory` is `Car`
       or `Pedestrian`.
@@ -124,7 +126,8 @@ def to_coco(
             place = samples.picture_path(index).relative_to(samples.folder).as_posix()
             picture = {"id": index, "file_name": place, "width": PICTURE_SIDE, "height": PICTURE_SIDE}
             pictures.append({**picture, "world": sample.world, "tick": sample.tick})
-            for annotation in _annotations(sample):
+            mask = samples.entity_mask(index) if samples.has_masks else None
+            for annotation in _annotations(sample, mask):
                 kinds[annotation["category"]] = annotation.pop("type")
                 annotations.append({"id": len(annotations) + 1, "image_id": index, **annotation})
             progress.update(index + 1)
@@ -142,7 +145,15 @@ def to_coco(
     write_json(target, content, by="vap coco", overwrite=overwrite)
 
 
-def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
+def _run_lengths(shown: NDArray[np.bool_]) -> list[int]:
+    """Return the lengths of the runs of a mask in columns, in turn of 0 and of 1, as COCO has them."""
+    column = shown.T.ravel()
+    changes = np.flatnonzero(np.diff(column)) + 1
+    lengths = np.diff([0, *changes.tolist(), column.size]).tolist()
+    return [0, *lengths] if column[0] else list(lengths)
+
+
+def _annotations(sample: VapSample, mask: NDArray[np.uint8] | None = None) -> Iterator[dict[str, Any]]:
     """Yield the annotations of the entities in a picture, with the names of their types and categories."""
     for entity in np.flatnonzero(~np.isnan(sample.boxes[:, 0])).tolist():
         box, concepts = sample.boxes[entity].tolist(), sample.concepts[entity]
@@ -157,6 +168,10 @@ def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
             "concepts": concepts,
             "visible": float(sample.visible[entity]),
         }
+        if mask is not None:
+            shown = mask == entity + 1
+            annotation["area"] = int(shown.sum())
+            annotation["segmentation"] = {"size": list(mask.shape), "counts": _run_lengths(shown)}
         if sample.mask[entity]:
             annotation["action"] = ACTIONS[sample.actions[entity]]
         yield annotation

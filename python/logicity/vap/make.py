@@ -71,6 +71,7 @@ def make_dataset(
     first_world: int = 0,
     seed: int = 0,
     images: bool = True,
+    masks: bool = False,
     drawing: Drawing = Drawing(),
     threads: int = 0,
     progress: Callable[[int, int], object] | None = None,
@@ -91,6 +92,7 @@ def make_dataset(
         first_world: The number of the first world, from 0 to 99999.
         seed: The seed, from 0 to 2**64 - 1.
         images: Whether to write pictures. This does not affect the tables.
+        masks: Whether to write masks, which say what agent each pixel shows. This does not affect the other files.
         drawing: How pictures and their boxes are drawn.
         threads: The number of threads, up to 1024; 0 means one per core. It does not affect the files.
         progress: A function that receives the number of finished frames and the total, on the calling thread.
@@ -122,6 +124,7 @@ def make_dataset(
         checked_integer("first_world", first_world, 0, _logicity.WORLDS_MAX - 1),
         checked_integer("seed", seed),
         images,
+        masks,
         None if drawing.pack is None else checked_path("pack", drawing.pack),
         drawing.pack_mode,
         checked_integer("difficulty", drawing.difficulty, 0, 100),

@@ -2,6 +2,7 @@
 
 use crate::city::Action;
 use crate::sim::Vocabulary;
+use crate::task::vap::folder;
 use crate::task::vap::folder::{DatasetSettings, Manifest};
 use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES, VISIBLE};
 use crate::task::vap::{FIRST_TICK, Mode, SIDE, TICKS, percent, total};
@@ -65,27 +66,40 @@ fn command(manifest: &Manifest, which: &str) -> String {
     if !settings.pictures {
         command += " --no-pictures";
     }
+    if settings.masks {
+        command += " --masks";
+    }
     command
 }
 
 fn pictures(manifest: &Manifest) -> String {
     let settings = &manifest.settings;
-    let size = |extension: &str| format!("{} MB", manifest.bytes(extension).div_ceil(1_000_000));
+    let size = |begin: &str, end: &str| format!("{} MB", manifest.bytes(begin, end).div_ceil(1_000_000));
     let mut text = "## Pictures\n\n".to_owned();
     text += &match settings.pictures {
         true => format!(
             "`world-NNNNN/frame-TTT.png` is the picture of tick TTT: {SIDE} x {SIDE} pixels in RGB. It shows\n\
              the first 128 rows and columns of the map, with 8 pixels per cell. All pictures take {}, the\n\
              tables {}.\n",
-            size(".png"),
-            size(".parquet")
+            size("frame-", ".png"),
+            size("", ".parquet")
         ),
         false => format!(
             "There are no pictures. Boxes refer to pictures of {SIDE} x {SIDE} pixels that show the first 128\n\
              rows and columns of the map, with 8 pixels per cell. The tables take {}.\n",
-            size(".parquet")
+            size("", ".parquet")
         ),
     };
+    if settings.masks {
+        write!(
+            text,
+            "`world-NNNNN/mask-TTT.png` is the mask of tick TTT, in grayscale and of the same size: a pixel has the\n\
+             value 0 where no agent shows, and otherwise the number of the agent's row among those of the tick in\n\
+             `entities.parquet`, from 1. All masks take {}.\n",
+            size(folder::MASK, ".png")
+        )
+        .expect("memory");
+    }
     write!(
         text,
         "Cars are 48 pixels wide and turn with their heading; pedestrians are 32 pixels wide. Each frame\n\

@@ -4,7 +4,7 @@ use crate::cancel::Cancel;
 use crate::city::AgentKind;
 use crate::diag::Diagnostic;
 use crate::files::{Folder, ReadError};
-use crate::render::read_png;
+use crate::render::{PixelBox, read_mask_into, read_png};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, LoadedCity, SceneFacts, Vocabulary};
 use crate::task::vap::codes;
@@ -165,7 +165,7 @@ impl Dataset {
         let folder = self.folder.folder(&folder::world_name(record.world));
         let path = folder.path();
         let mut faults = Vec::new();
-        let tables = read_files(&folder, record, step, &mut faults)?;
+        let WorldFiles { others: tables, masks } = read_files(&folder, record, step, &mut faults)?;
         if !faults.is_empty() {
             return Ok(faults);
         }
@@ -179,6 +179,7 @@ impl Dataset {
                 actions = add(actions, check_sample(inference, sample)?);
             }
             let concepts = count_concepts(&entities)?;
+            check_masks(&entities, &masks)?;
             Ok((entities, samples, actions, concepts))
         });
         match read {
@@ -197,11 +198,16 @@ impl Dataset {
                 if counted != *record {
                     faults.push(wrong(path, "has counts that differ from its tables"));
                 }
-                let pictures = samples.iter().filter(|_| self.manifest.settings.pictures);
-                let names: BTreeSet<String> = pictures.map(|sample| folder::frame_name(sample.tick)).collect();
+                let settings = &self.manifest.settings;
+                let pictures = samples.iter().filter(|_| settings.pictures);
+                let masks = samples.iter().filter(|_| settings.masks);
+                let names: BTreeSet<String> = (pictures.map(|sample| folder::frame_name(sample.tick)))
+                    .chain(masks.map(|sample| folder::mask_name(sample.tick)))
+                    .collect();
                 let listed = record.files.keys().filter(|name| name.ends_with(".png"));
                 if !listed.eq(&names) {
-                    faults.push(wrong(path, "does not have exactly one picture per frame"));
+                    let what = if settings.masks { "picture and mask" } else { "picture" };
+                    faults.push(wrong(path, format!("does not have exactly one {what} per frame")));
                 }
             }
         }
@@ -209,14 +215,24 @@ impl Dataset {
     }
 }
 
-/// Compares the files of a world with its record. Returns the bytes of all files except pictures.
+/// The boxes of the values of a mask, from value 1 on; `None` for values that no pixel has.
+type MaskBoxes = Vec<Option<PixelBox>>;
+
+/// Files of a world by name.
+struct WorldFiles<'a> {
+    /// All except pictures and masks.
+    others: BTreeMap<&'a str, Vec<u8>>,
+    masks: BTreeMap<&'a str, MaskBoxes>,
+}
+
+/// Compares the files of a world with its record, and reads its masks and its other files except pictures.
 fn read_files<'a>(
     folder: &Folder,
     record: &'a WorldRecord,
     step: Step<'_>,
     faults: &mut Vec<Diagnostic>,
-) -> Result<BTreeMap<&'a str, Vec<u8>>, Diagnostic> {
-    let mut others = BTreeMap::new();
+) -> Result<WorldFiles<'a>, Diagnostic> {
+    let (mut others, mut masks) = (BTreeMap::new(), BTreeMap::new());
     for (name, expected) in &record.files {
         step(0)?;
         let path = folder.path().join(name);
@@ -230,6 +246,10 @@ fn read_files<'a>(
             Err(error) => faults.push(wrong(&path, error).help(again)),
             Ok(None) => faults.push(other()),
             Ok(Some(bytes)) if file_record(&bytes) != *expected => faults.push(other()),
+            Ok(Some(bytes)) if name.starts_with(folder::MASK) => match mask_boxes(&bytes) {
+                Ok(boxes) => _ = masks.insert(name.as_str(), boxes),
+                Err(fault) => faults.push(wrong(&path, fault)),
+            },
             Ok(Some(bytes)) if name.ends_with(".png") => {
                 if let Err(fault) = check_picture(&bytes) {
                     faults.push(wrong(&path, fault));
@@ -240,7 +260,78 @@ fn read_files<'a>(
             }
         }
     }
-    Ok(others)
+    Ok(WorldFiles { others, masks })
+}
+
+/// Reads a mask.
+fn mask_boxes(bytes: &[u8]) -> Result<MaskBoxes, String> {
+    let mut mask = vec![0; SIDE as usize * SIDE as usize];
+    read_mask_into(bytes, (SIDE, SIDE), &mut mask)?;
+    // The first and the last column and row of each value.
+    let mut ends: Vec<Option<[u32; 4]>> = Vec::new();
+    for (row, pixels) in (0..).zip(mask.chunks_exact(SIDE as usize)) {
+        for (col, &value) in (0..).zip(pixels) {
+            let Some(at) = usize::from(value).checked_sub(1) else {
+                continue;
+            };
+            if ends.len() <= at {
+                ends.resize(at + 1, None);
+            }
+            let [left, top, right, bottom] = ends[at].unwrap_or([col, row, col, row]);
+            ends[at] = Some([left.min(col), top.min(row), right.max(col), bottom.max(row)]);
+        }
+    }
+    let boxed = |[left, top, right, bottom]: [u32; 4]| PixelBox {
+        x: left.cast_signed(),
+        y: top.cast_signed(),
+        width: right - left + 1,
+        height: bottom - top + 1,
+    };
+    Ok(ends.into_iter().map(|ends| ends.map(boxed)).collect())
+}
+
+/// Checks masks: the pixels of an agent lie in its box, and there are some if a part of the agent is visible.
+fn check_masks(entities: &Table, masks: &BTreeMap<&str, MaskBoxes>) -> Result<(), Diagnostic> {
+    let (boxes, fractions, ticks) = (boxes(entities)?, visible(entities)?, entities.ints("tick")?);
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for (row, (area, fraction)) in boxes.iter().zip(fractions).enumerate() {
+        let name = folder::mask_name(ticks[row]);
+        let at = counts.entry(name.clone()).or_default();
+        let place = *at;
+        *at += 1;
+        let Some(found) = masks.get(name.as_str()) else {
+            continue;
+        };
+        let found = found.get(place).copied().flatten();
+        let is_within = |area: &PixelBox, found: &PixelBox| {
+            let right = |each: &PixelBox| each.x + each.width.cast_signed();
+            let bottom = |each: &PixelBox| each.y + each.height.cast_signed();
+            area.x <= found.x && area.y <= found.y && right(found) <= right(area) && bottom(found) <= bottom(area)
+        };
+        let fault = match (area, found) {
+            (None, Some(_)) => "has no box, but pixels",
+            (Some(area), Some(found)) if !is_within(area, &found) => "has pixels outside of its box",
+            (_, found) if found.is_some() != fraction.is_some_and(|fraction| fraction > 0.0) => {
+                "has pixels, unlike its visible fraction, or lacks them"
+            }
+            _ => continue,
+        };
+        let message = format!("in `{name}`, row {row} of the entities {fault}");
+        return Err(Diagnostic::new(codes::INVALID_DATA_SET, message));
+    }
+    let unknown = masks
+        .iter()
+        .find(|(name, found)| found.len() > counts.get(**name).copied().unwrap_or(0));
+    match unknown {
+        None => Ok(()),
+        Some((name, found)) => {
+            let message = format!(
+                "in `{name}`, a pixel has the value {}, but the tick has fewer agents",
+                found.len()
+            );
+            Err(Diagnostic::new(codes::INVALID_DATA_SET, message))
+        }
+    }
 }
 
 fn check_picture(bytes: &[u8]) -> Result<(), String> {

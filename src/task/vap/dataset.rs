@@ -5,7 +5,7 @@ use crate::cancel::Cancel;
 use crate::city::Split;
 use crate::diag::Diagnostic;
 use crate::files::{Folder, Overwrite};
-use crate::render::{Icons, Picture, write_png};
+use crate::render::{Icons, Picture, write_mask, write_png};
 use crate::rng::Seed;
 use crate::sim::{LoadedCity, run_polled, start_threads, threads_of};
 use crate::task::shard::Shard;
@@ -13,8 +13,8 @@ use crate::task::vap::error::DatasetError;
 use crate::task::vap::folder::{Description, ENTITIES, PAIRS, ShardFile, WorldWriter};
 use crate::task::vap::table::{Table, count_concepts};
 use crate::task::vap::{
-    Agents, DatasetSettings, FIRST_TICK, Manifest, Mode, TICKS, WorldRecord, Worlds, card, count_actions, count_atoms,
-    folder, icon_seed, published_worlds,
+    Agents, DatasetSettings, FIRST_TICK, Manifest, Mode, SIDE, TICKS, WorldRecord, Worlds, card, count_actions,
+    count_atoms, folder, icon_seed, published_worlds,
 };
 use rayon::prelude::*;
 use std::num::NonZeroUsize;
@@ -42,6 +42,8 @@ pub struct DatasetRequest {
     pub seed: u64,
     /// Whether to draw pictures. Without pictures the tables are the same.
     pub pictures: bool,
+    /// Whether to write masks: which agent each pixel of a picture shows. They need no pictures.
+    pub masks: bool,
     /// The number of threads. The files are the same with any number.
     pub threads: NonZeroUsize,
 }
@@ -57,6 +59,7 @@ impl DatasetRequest {
             shard: None,
             seed: 0,
             pictures: true,
+            masks: false,
             threads: NonZeroUsize::MIN,
         }
     }
@@ -115,6 +118,7 @@ impl DatasetWriter {
             config_hash,
             rules_hash: city.rules_hash,
             pictures: request.pictures,
+            masks: request.masks,
             difficulty,
             pack_hash,
             pack_mode,
@@ -190,6 +194,15 @@ impl DatasetWriter {
             }
         } else {
             step(frames.len() as u64)?;
+        }
+        if self.settings.masks {
+            for frame in &frames {
+                let mut bytes = Vec::new();
+                let mask = worlds.mask(frame);
+                write_mask(&mask, (SIDE, SIDE), &mut bytes).expect("memory does not fail");
+                writer.put(folder::mask_name(frame.tick), &bytes)?;
+                step(0)?;
+            }
         }
         // The tables come after the pictures, because the boxes of the drawn icons are then cached.
         let entities = Table::entities(worlds, number, &frames);

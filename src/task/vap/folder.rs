@@ -49,6 +49,8 @@ const CARD: &str = "README.md";
 const SHARD: &str = "shard.json";
 pub(super) const ENTITIES: &str = "entities.parquet";
 pub(super) const PAIRS: &str = "pairs.parquet";
+/// How the names of masks begin.
+pub(super) const MASK: &str = "mask-";
 /// The [`WorldFile`] in the folder of a world.
 const RECORD: &str = "world.json";
 const PARTIAL: &str = ".partial";
@@ -74,6 +76,9 @@ pub struct DatasetSettings {
     pub rules_hash: String,
     /// Whether there are pictures. Without pictures the boxes are the same.
     pub pictures: bool,
+    /// Whether there are masks. Files of sets without masks lack it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub masks: bool,
     /// The difficulty of the pictures in percent.
     pub difficulty: u8,
     /// The hash of the icon pack.
@@ -181,10 +186,10 @@ impl Manifest {
         if self.settings.pictures { self.frames } else { 0 }
     }
 
-    /// Returns the size in bytes of all files of the worlds with this extension.
-    pub(super) fn bytes(&self, extension: &str) -> usize {
+    /// Returns the size in bytes of all files of the worlds whose names have this beginning and this end.
+    pub(super) fn bytes(&self, begin: &str, end: &str) -> usize {
         let files = self.worlds.iter().flat_map(|record| &record.files);
-        let named = files.filter(|(name, _)| name.ends_with(extension));
+        let named = files.filter(|(name, _)| name.starts_with(begin) && name.ends_with(end));
         named.map(|(_, file)| file.bytes).fold(0, usize::saturating_add)
     }
 }
@@ -218,6 +223,11 @@ pub(super) fn world_name(world: u32) -> String {
 /// Returns the name of the picture of a tick.
 pub(super) fn frame_name(tick: impl std::fmt::Display) -> String {
     format!("frame-{tick:0>3}.png")
+}
+
+/// Returns the name of the mask of a tick.
+pub(super) fn mask_name(tick: impl std::fmt::Display) -> String {
+    format!("{MASK}{tick:0>3}.png")
 }
 
 fn pretty(value: &impl Serialize) -> String {

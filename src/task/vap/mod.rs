@@ -238,6 +238,11 @@ impl Worlds {
         Renderer::with_ground(self.world.map(), self.placement.clone(), Seed(self.seed(number)))
     }
 
+    /// Returns which agent each pixel of the picture of a frame shows, as [`Placement::mask`].
+    pub fn mask(&self, frame: &Frame) -> Vec<u8> {
+        self.placement.mask(&frame.sprites())
+    }
+
     /// Returns a small picture that contains all drawn elements: a corner of the ground of world 0, and overlapping
     /// agents of every known class in every facing. Most changes of the drawing code change it.
     pub fn specimen(&self) -> Picture {
