@@ -75,8 +75,8 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(.*\.)?(AutoresetMode|MinariDataset|Tensor|nn\.Parameter)"),
     (
         r"py:.*",
-        r"(.*\.)?(_AgentKey|_Env|Actions|ArrayKind|Annotated\[.*|Atom|Count|EnvOptions|Episode|Episodes|Field|LearnedRules"
-        r"|ObservationKind|Observations|Path|PolicyNetwork|Predictor|Progress|Seed|ShieldMode|ShieldQuery|SerializeAsAny.*|TorchVapDataset|TrainingOptions|dict\[.*)",
+        r"(.*\.)?(_AgentKey|_Env|Actions|ArrayKind|ArrowArray|ArrowStream|Annotated\[.*|Atom|Count|EnvOptions|Episode"
+        r"|Episodes|Field|LearnedRules|ObservationKind|Observations|Path|PolicyNetwork|Predictor|Progress|Seed|ShieldMode|ShieldQuery|SerializeAsAny.*|TorchVapDataset|TrainingOptions|dict\[.*)",
     ),
     (r"py:.*", r"(collections|gymnasium|gym|np|numpy|os|pathlib|pydantic|stable_baselines3|torch|typing)\..*"),
 ]

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NoReturn, cast, overload
+from typing import Any, Literal, NoReturn, Protocol, cast, overload
 
 import numpy.typing as npt
 
@@ -25,7 +25,22 @@ A record is a tuple of its fields, behind the name of its branch if its type has
 Functors = Mapping[str, Callable[..., Iterable[Any]]]
 """The functions for functors, by name."""
 
-RowsLike = Iterable[Sequence[object]] | npt.NDArray[Any] | Mapping[str, npt.ArrayLike]
+
+class ArrowStream(Protocol):
+    """What exports Arrow data as a stream."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """Return a capsule with a stream of Arrow arrays."""
+
+
+class ArrowArray(Protocol):
+    """What exports Arrow data as one array."""
+
+    def __arrow_c_array__(self, requested_schema: object | None = None) -> tuple[object, object]:
+        """Return capsules with a schema and an Arrow array."""
+
+
+RowsLike = Iterable[Sequence[object]] | npt.NDArray[Any] | Mapping[str, npt.ArrayLike] | ArrowStream | ArrowArray
 """Rows in the forms that `Session.insert` accepts."""
 
 
@@ -173,11 +188,15 @@ class Program:
         return self._program.plan()
 
 
-class Rows(Sequence[Row]):
-    """Rows that a commit added or removed, or that answer a query, in the order of `Session.rows`.
+class Rows:
+    """The rows of a predicate, those that a commit added or removed, or those that answer a query.
 
-    Rows are converted lazily. Access while another thread uses the session raises `RuntimeError`. An instance equals a
-    list of the same tuples.
+    They are a sequence of tuples in the order of `Session.rows`, and stay as they are when the session changes. Tuples
+    are made when they are accessed. Access while another thread uses the session raises `RuntimeError`. An instance
+    equals a list of the same tuples.
+
+    Rows also export Arrow data, so `polars.DataFrame(rows)`, `pyarrow.table(rows)`, `pandas.DataFrame.from_arrow(rows)`
+    and `duckdb.sql("from rows")` read them without a Python object for each value.
     """
 
     def __init__(self, rows: _logicity.Rows) -> None:
@@ -226,6 +245,32 @@ class Rows(Sequence[Row]):
     def columns(self) -> dict[str, npt.NDArray[Any]]:
         """Return one array per column, as `Session.columns` does."""
         return self._rows.columns()
+
+    def __arrow_c_schema__(self) -> object:
+        """Return a capsule with the Arrow schema, for libraries that read Arrow data."""
+        return self._rows.__arrow_c_schema__()
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """Return a capsule with a stream of Arrow data, for libraries that read it.
+
+        The columns have the names of the predicate's, and the types int32 for numbers, uint32 for unsigned numbers,
+        float32 for floats, and large_utf8 for symbols. A record is its text as in files of rows.
+
+        Args:
+            requested_schema: A capsule with a schema, to which the values are cast if they can be.
+
+        Raises:
+            KeyboardInterrupt: On Ctrl-C.
+            ValueError: If the text of a record is longer than 16 MiB.
+        """
+        return self._rows.__arrow_c_stream__(requested_schema)
+
+
+def checked_program(program: Program) -> Program:
+    """Return a program. Raise `TypeError` if it is none."""
+    if not isinstance(program, Program):
+        raise TypeError(f"expected a Program, not {type(program).__name__}")
+    return program
 
 
 @dataclass(frozen=True)
@@ -283,8 +328,8 @@ class Session:
     the first commit.
 
     Not thread-safe: concurrent use raises `RuntimeError`. Long calls release the GIL, and Ctrl-C cancels them. A
-    session cannot be pickled or copied. Pickle its program and the facts instead. Methods raise `KeyError` for a
-    predicate that is not declared.
+    session cannot be pickled or copied. Pickle its program, and `save` the session to a file. Methods raise `KeyError`
+    for a predicate that is not declared.
 
     Args:
         program: The program.
@@ -311,17 +356,66 @@ class Session:
         max_bytes: int | None = None,
     ) -> None:
         """Start without inserted facts and without a commit."""
-        if not isinstance(program, Program):
-            raise TypeError(f"expected a Program, not {type(program).__name__}")
-        self._program = program
+        self._program = checked_program(program)
         limits = checked_limits({"max_rows": max_rows, "max_steps": max_steps, "max_bytes": max_bytes})
         self._session = _logicity.Session(program._program, checked_threads(threads), limits)
         self.reseed(seed)
 
+    @classmethod
+    def load(
+        cls,
+        program: Program,
+        path: str | os.PathLike[str],
+        threads: int = 1,
+        *,
+        max_rows: int | None = None,
+        max_steps: int | None = None,
+        max_bytes: int | None = None,
+    ) -> Session:
+        """Read a session that `save` wrote, without deriving anything again.
+
+        The arguments are those of a new session. The seed of draws is the saved one.
+
+        Args:
+            program: The program of the saved session. Layout, comments and names of variables may differ.
+            path: The file.
+            threads: The number of threads; 0 means one per core.
+            max_rows: The limit of derived rows.
+            max_steps: The limit of rows that a commit reads.
+            max_bytes: The limit of memory, also for loading.
+
+        Raises:
+            LimitError: If the session takes more memory than `max_bytes`.
+            OSError: If the file cannot be read (`FileNotFoundError` if it does not exist).
+            ValueError: If the file is no saved session of the program, has another version, or is damaged.
+        """
+        limits = checked_limits({"max_rows": max_rows, "max_steps": max_steps, "max_bytes": max_bytes})
+        session = cls.__new__(cls)
+        session._program = checked_program(program)
+        file = checked_path("path", path)
+        session._session = _logicity.Session.load(program._program, file, checked_threads(threads), limits)
+        return session
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the session to a file, from which `load` continues.
+
+        The file holds all facts and derived facts, the pending changes, the seed, and what temporal operators read of
+        earlier ticks. It appears when it is complete. Its checksum finds accidental changes; it is no signature, so
+        load files only from sources that you trust to tell the truth.
+
+        Args:
+            path: The file.
+            overwrite: Whether to replace a file that this method did not write, or that has changed since.
+
+        Raises:
+            OSError: If the file cannot be written (`FileExistsError` if it may not be replaced).
+        """
+        self._session.save(checked_path("path", path), overwrite)
+
     def __reduce__(self) -> NoReturn:
         """Refuse to pickle and to copy."""
         why = "its rows and indexes exist only in the memory of the engine"
-        remedy = "pickle its program, and insert the facts into a new session"
+        remedy = "pickle its program, and write the session to a file with `save`"
         raise TypeError(f"a Session cannot be pickled or copied, because {why}: {remedy}")
 
     @property
@@ -347,14 +441,20 @@ class Session:
                   has the text of the record as in files of rows;
                 - an array of shape (n, columns), if one dtype fits all columns;
                 - a structured array of shape (n,), whose fields have the names of the columns, in any order;
-                - a mapping from the names of all columns to arrays of shape (n,).
+                - a mapping from the names of all columns to arrays of shape (n,);
+                - a data frame or anything else that exports Arrow data: frames of pandas and Polars, tables and record
+                  batches of pyarrow, relations of DuckDB, `Rows` of another session. If its columns have exactly the
+                  names of the predicate's, they match by name, otherwise by position. The index of a pandas frame is
+                  not a column. Nulls are errors.
 
                 In arrays, symbols have the dtype `U`, `StringDType`, or `object` with str, and records `object`.
-                Numbers and unsigned numbers have any integer dtype. Floats have any float or integer dtype.
+                Numbers and unsigned numbers have any integer dtype. Floats have any float or integer dtype. The same
+                holds for Arrow types; symbols are strings there, and so are records. Dictionaries (categories) of these
+                are also accepted, and decimals without fraction, which DuckDB returns for sums.
 
         Raises:
             LimitError: If the rows would take more memory than `max_bytes`. No row is inserted then.
-            TypeError: If a value or dtype does not match its column; bool is not a number.
+            TypeError: If a value, dtype or Arrow type does not match its column; bool is not a number.
             ValueError: If a number is out of range, a row or array has the wrong shape, a record does not fit its type
                 or is nested more than 10,000 deep, or rules derive the predicate. No row is inserted then.
         """
@@ -452,13 +552,14 @@ class Session:
         changes = self._session.commit(advance)
         return {name: Change(Rows(added), Rows(removed)) for name, (added, removed) in changes.items()}
 
-    def rows(self, predicate: str) -> list[Row]:
-        """Return the rows of a predicate as tuples.
+    def rows(self, predicate: str) -> Rows:
+        """Return the rows of a predicate.
 
-        The rows are sorted by the unsigned 32-bit words of their values: negative numbers follow positive ones, and
-        symbols have the order in which the session interned them.
+        The result shares them with the session without a copy, and later commits do not change it. The rows are sorted
+        by the unsigned 32-bit words of their values: negative numbers follow positive ones, and symbols have the order
+        in which the session interned them.
         """
-        return cast(list[Row], self._session.tuples(predicate))
+        return Rows(self._session.rows(predicate))
 
     def columns(self, predicate: str) -> dict[str, npt.NDArray[Any]]:
         """Return the rows of a predicate as one array of shape (n,) per column, in the order of `rows`.

@@ -1,5 +1,6 @@
-//! Conversion of rows from and to Python: tuples, or one numpy array per column.
+//! Conversion of rows from and to Python: tuples, or one numpy array per column. `arrow` converts data frames.
 
+use crate::arrow;
 use logicity::datalog::internal::{NIL, record_fields, record_of_text, record_word, shapes};
 use logicity::datalog::{BaseType, Column, FunctorBatch, Predicate, RecordShape, Type, TypeId, UserFunctor, Value};
 use logicity::symbol::{Symbol, Symbols};
@@ -13,7 +14,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 
 /// The number of rows to convert between checks of signals and memory.
-const ROWS_PER_CHECK: usize = 1 << 16;
+pub const ROWS_PER_CHECK: usize = 1 << 16;
 
 /// Maximum depth of records in records. Python hashes and compares nested tuples on its stack.
 const MAX_DEPTH: usize = 10_000;
@@ -62,7 +63,7 @@ fn branch_text(shape: &RecordShape) -> String {
 }
 
 /// Describes a column and its type for messages.
-fn expects(predicate: &Predicate, column: &Column) -> String {
+pub fn expects(predicate: &Predicate, column: &Column) -> String {
     format!(
         "column `{}` of `{}` holds {}",
         column.name,
@@ -72,7 +73,7 @@ fn expects(predicate: &Predicate, column: &Column) -> String {
 }
 
 /// The reason why a value does not fit a column.
-enum Misfit {
+pub enum Misfit {
     Type,
     Range,
     /// A value that is no record of the type, for this reason.
@@ -91,7 +92,7 @@ impl Misfit {
     }
 }
 
-fn number(base: BaseType, value: i128) -> Result<Value, Misfit> {
+pub fn number(base: BaseType, value: i128) -> Result<Value, Misfit> {
     match base {
         BaseType::Unsigned => u32::try_from(value).map(Value),
         _ => i32::try_from(value).map(Value::number),
@@ -101,7 +102,7 @@ fn number(base: BaseType, value: i128) -> Result<Value, Misfit> {
 
 /// Rounds to the nearest 32-bit float. Keeps infinities and NaN. A finite number out of range is an error.
 #[expect(clippy::cast_possible_truncation, reason = "rounding is what is meant")]
-fn float(value: f64) -> Result<Value, Misfit> {
+pub fn float(value: f64) -> Result<Value, Misfit> {
     let near = value as f32;
     match value.is_finite() && near.is_infinite() {
         true => Err(Misfit::Range),
@@ -368,6 +369,9 @@ pub fn rows(predicate: &Predicate, given: &Bound<'_, PyAny>, target: &Target<'_>
             given,
             target,
         );
+    }
+    if arrow::exports(given)? {
+        return arrow::rows(predicate, given, target);
     }
     if given.is_instance_of::<PyString>() {
         let message = format!(

@@ -1,19 +1,22 @@
 //! Programs and sessions.
 
+use crate::arrow;
 use crate::columns::{self, Maker, Target};
-use crate::{LimitArguments, Shared, Signals, input_error, limits_of, threads_of, to_python};
+use crate::output::{overwrite_if, unwritable};
+use crate::{LimitArguments, Shared, Signals, input_error, limits_of, read_error, threads_of, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{ExplainError, Explainer, ExplanationPrinter};
-use logicity::datalog::{ClauseId, InputPolicy, Predicate, PredicateId, Value, Workspace};
+use logicity::datalog::{ClauseId, Column, InputPolicy, Predicate, PredicateId, Value, Workspace};
 use logicity::datalog::{
-    EvalError, FunctorBatch, Limits, MarginalOptions, Marginals, Probability, Program, RowError, StratumStats, Threads,
+    EvalError, FunctorBatch, Limits, MarginalOptions, Marginals, Probability, Program, RowError, SnapshotError,
+    StratumStats, Threads,
 };
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
-use logicity::files::{ReadError, ReadFile as _};
-use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
+use logicity::files::{self, Output, ReadError, ReadFile as _};
+use pyo3::exceptions::{PyKeyError, PyKeyboardInterrupt, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
+use pyo3::types::{PyCapsule, PyDict, PyList};
 use serde_json::json;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -271,13 +274,46 @@ impl PySession {
     fn new(program: &PyProgram, threads: usize, limits: LimitArguments) -> PyResult<Self> {
         let mut session = program.0.program.session();
         session.set_limits(limits_of(limits, Limits::default()));
-        let threads = Threads::new(threads_of(threads)?);
-        (session.set_threads(threads))
-            .map_err(|error| PyRuntimeError::new_err(format!("cannot start {} threads: {error}", threads.count)))?;
-        Ok(PySession {
-            loaded: Arc::clone(&program.0),
-            session: Shared::new("Session", session),
-        })
+        PySession::of(program, session, threads)
+    }
+
+    /// Reads a session that `save` wrote.
+    #[staticmethod]
+    fn load(
+        py: Python<'_>,
+        program: &PyProgram,
+        path: PathBuf,
+        threads: usize,
+        limits: LimitArguments,
+    ) -> PyResult<Self> {
+        let mut file = files::open_regular(&path).map_err(|error| read_error(py, &path, &error))?;
+        let limits = limits_of(limits, Limits::default());
+        let loaded = &program.0;
+        let rules = &loaded.program;
+        let session = py.detach(|| rules.load_session(&mut file, limits));
+        let session = session.map_err(|error| match error {
+            SnapshotError::Io(error) => read_error(py, &path, &error.into()),
+            SnapshotError::TooMuchMemory { limit } => {
+                let fault = Diagnostic::from(EvalError::TooManyInputs { limit });
+                input_error(
+                    py,
+                    &[fault.note(format!("while loading `{}`", path.display()))],
+                    &loaded.sources,
+                )
+            }
+            error => PyValueError::new_err(format!("cannot load `{}`: {error}", path.display())),
+        })?;
+        PySession::of(program, session, threads)
+    }
+
+    /// Writes the session to a file; with `overwrite`, replaces any file.
+    fn save(&self, py: Python<'_>, path: PathBuf, overwrite: bool) -> PyResult<()> {
+        let output = Output::create(&path, "Session.save", overwrite_if(overwrite));
+        let mut output = output.map_err(|error| unwritable(&path, &error))?;
+        let saved = self.session.detached(py, |session, _| session.save(&mut output))?;
+        saved
+            .and_then(|()| output.finish())
+            .map_err(|error| unwritable(&path, &error))
     }
 
     fn insert(&self, predicate: &str, rows: &Bound<'_, PyAny>) -> PyResult<usize> {
@@ -401,12 +437,14 @@ impl PySession {
         self.session.with(|session| Ok(session.tick()))
     }
 
-    fn tuples<'py>(&self, py: Python<'py>, predicate: &str) -> PyResult<Bound<'py, PyList>> {
-        let (id, predicate) = self.loaded.predicate(predicate)?;
-        let tuples = |session: &mut datalog::Session| {
-            columns::tuples(py, &predicate.columns, session.encoded_rows(id), session.symbols())
-        };
-        self.session.with(tuples)
+    fn rows(slf: &Bound<'_, Self>, predicate: &str) -> PyResult<PyRows> {
+        let this = slf.get();
+        let (predicate, _) = this.loaded.predicate(predicate)?;
+        Ok(PyRows {
+            session: slf.clone().unbind(),
+            predicate,
+            rows: this.session.with(|session| Ok(session.shared_rows(predicate)))?,
+        })
     }
 
     fn columns<'py>(&self, py: Python<'py>, predicate: &str) -> PyResult<Bound<'py, PyDict>> {
@@ -571,6 +609,16 @@ impl PySession {
 }
 
 impl PySession {
+    fn of(program: &PyProgram, mut session: datalog::Session, threads: usize) -> PyResult<Self> {
+        let threads = Threads::new(threads_of(threads)?);
+        (session.set_threads(threads))
+            .map_err(|error| PyRuntimeError::new_err(format!("cannot start {} threads: {error}", threads.count)))?;
+        Ok(PySession {
+            loaded: Arc::clone(&program.0),
+            session: Shared::new("Session", session),
+        })
+    }
+
     fn change(&self, predicate: &str, rows: &Bound<'_, PyAny>, present: bool) -> PyResult<usize> {
         let (id, predicate) = self.loaded.predicate(predicate)?;
         let (limit, rest) = self.session.with(|session| {
@@ -618,7 +666,7 @@ impl PySession {
     }
 }
 
-/// Rows that a commit added or removed.
+/// Rows of a predicate, or rows that a commit added or removed.
 #[pyclass(name = "Rows", module = "logicity._logicity", frozen)]
 pub struct PyRows {
     session: Py<PySession>,
@@ -644,5 +692,32 @@ impl PyRows {
         let PySession { loaded, session } = self.session.get();
         let predicate = &loaded.program.rules().predicates[self.predicate.index()];
         session.with(|session| columns::arrays(py, &predicate.columns, || self.rows.iter(), session.symbols()))
+    }
+
+    fn __arrow_c_schema__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyCapsule>> {
+        arrow::schema(py, self.declared())
+    }
+
+    #[pyo3(signature = (requested_schema=None))]
+    fn __arrow_c_stream__<'py>(
+        &self,
+        py: Python<'py>,
+        requested_schema: Option<Bound<'py, PyCapsule>>,
+    ) -> PyResult<Bound<'py, PyCapsule>> {
+        let made = self.session.get().session.detached(py, |session, cancel| {
+            arrow::batches(self.declared(), &self.rows, session.symbols(), cancel)
+        })?;
+        match made.map_err(PyValueError::new_err)? {
+            Some(batches) => arrow::stream(py, self.declared(), batches, requested_schema),
+            None => Err(PyKeyboardInterrupt::new_err(())),
+        }
+    }
+}
+
+impl PyRows {
+    /// Returns the columns.
+    fn declared(&self) -> &[Column] {
+        let rules = self.session.get().loaded.program.rules();
+        &rules.predicates[self.predicate.index()].columns
     }
 }

@@ -3,7 +3,7 @@
 //! This file has the exceptions, the command line, and [`Shared`], the wrapper of objects with long-running calls. Each
 //! other module registers its classes:
 //!
-//! - `engine`: programs and sessions; `columns`: rows as Python values and numpy arrays;
+//! - `engine`: programs and sessions; `columns`: rows as Python values and numpy arrays; `arrow`: rows as data frames;
 //! - `checked`: checked rules for Python code that evaluates them;
 //! - `circuits`: exact probabilities of decisions, with gradients;
 //! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
@@ -15,6 +15,7 @@
 // Decision: docs/decisions/tools.md#d028
 
 mod actor;
+mod arrow;
 mod checked;
 mod circuits;
 mod city;

@@ -118,6 +118,9 @@ class Runner:
 def test_blocks_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if page.name == "rule-layer.md":
         needs("torch", "learn")
+    if page.name == "exchange-data.md":
+        needs("duckdb", "frames")
+        needs("polars", "frames")
     monkeypatch.chdir(tmp_path)
     runner = Runner(tmp_path)
     for block in blocks(page):

@@ -166,7 +166,7 @@ def test_ticks_move_what_rules_remember() -> None:
     assert held.advance() == {}
     assert held.rows("light") == [("hall",)]
     changes = held.advance()
-    assert (held.tick, list(changes), held.rows("light")) == (3, ["light"], [])
+    assert (held.tick, list(changes), list(held.rows("light"))) == (3, ["light"], [])
 
 
 def test_temporal_operators_agree_with_rtamt() -> None:

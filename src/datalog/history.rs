@@ -12,10 +12,12 @@
 //! which Q holds and P does not.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::io;
 
 use crate::chance;
 use crate::check::{Past, PastOperator, PredicateId, Rules};
 use crate::eval::delta::Delta;
+use crate::snapshot::{Decoder, Encoder, SnapshotError};
 use crate::spans::Spans;
 use crate::value::Value;
 
@@ -194,6 +196,82 @@ impl History {
         self.draw();
     }
 
+    /// Writes the memory.
+    pub fn save(&self, out: &mut Encoder<'_>) -> io::Result<()> {
+        out.long(self.tick)?;
+        if let Some(chance) = &self.chance {
+            for number in [chance.seed, chance.word] {
+                out.flag(number.is_some())?;
+                out.long(number.unwrap_or_default())?;
+            }
+        }
+        for memory in &self.memories {
+            memory.save(out)?;
+        }
+        for changes in self.changes.values() {
+            out.count(changes.len())?;
+            for (row, holds) in changes {
+                write_row(out, row)?;
+                out.flag(*holds)?;
+            }
+        }
+        out.count(self.staged.len())?;
+        for (predicate, row, holds) in &self.staged {
+            out.word(predicate.0)?;
+            write_row(out, row)?;
+            out.flag(*holds)?;
+        }
+        // In an order that does not depend on hashes.
+        let given: BTreeMap<_, _> = self.given.iter().collect();
+        out.count(given.len())?;
+        for ((predicate, row), tick) in given {
+            out.word(predicate.0)?;
+            write_row(out, row)?;
+            out.long(*tick)?;
+        }
+        Ok(())
+    }
+
+    /// Reads what [`save`](History::save) wrote, into a new memory of the same rules. The rows have the first `known`
+    /// symbols.
+    pub fn load(&mut self, input: &mut Decoder<'_>, rules: &Rules, known: usize) -> Result<(), SnapshotError> {
+        self.tick = input.long()?;
+        // Later ticks are counted from it.
+        if self.tick > u64::from(u32::MAX) << 24 {
+            return Err(SnapshotError::Corrupt);
+        }
+        if let Some(chance) = &mut self.chance {
+            for number in [&mut chance.seed, &mut chance.word] {
+                let is_set = input.flag()?;
+                *number = Some(input.long()?).filter(|_| is_set);
+            }
+        }
+        let read = |input: &mut Decoder<'_>, predicate: PredicateId| read_row(input, rules, predicate, known);
+        for memory in &mut self.memories {
+            memory.load(input, self.tick, &read)?;
+        }
+        for (predicate, changes) in &mut self.changes {
+            for _ in 0..input.long()? {
+                let (row, holds) = (read(input, *predicate)?, input.flag()?);
+                // Before the first tick no row held.
+                if !holds && self.tick == 0 {
+                    return Err(SnapshotError::Corrupt);
+                }
+                changes.insert(row, holds);
+            }
+        }
+        self.staged.clear();
+        for _ in 0..input.long()? {
+            let predicate = PredicateId(input.word()?);
+            self.staged.push((predicate, read(input, predicate)?, input.flag()?));
+        }
+        for _ in 0..input.long()? {
+            let predicate = PredicateId(input.word()?);
+            self.given.insert((predicate, read(input, predicate)?), input.long()?);
+        }
+        Ok(())
+    }
+
     /// Returns the bytes of the memory, about.
     pub fn bytes(&self) -> u64 {
         /// The bytes of a row in a map or set, besides its values.
@@ -220,7 +298,110 @@ impl History {
     }
 }
 
+fn write_row(out: &mut Encoder<'_>, row: &[Value]) -> io::Result<()> {
+    row.iter().try_for_each(|word| out.word(word.0))
+}
+
+/// Reads a row of a predicate.
+fn read_row(
+    input: &mut Decoder<'_>,
+    rules: &Rules,
+    predicate: PredicateId,
+    known: usize,
+) -> Result<Row, SnapshotError> {
+    /// The memory of a row in the maps and sets that contain it, besides its values.
+    const ENTRIES: usize = 6 * 48;
+    let predicate = rules.predicates.get(predicate.index()).ok_or(SnapshotError::Corrupt)?;
+    input.room(1, ENTRIES + 6 * size_of::<Value>() * predicate.arity())?;
+    let words = predicate.columns.iter().map(|column| {
+        let word = input.word()?;
+        match column.base.is_interned() && word as usize >= known {
+            true => Err(SnapshotError::Corrupt),
+            false => Ok(Value(word)),
+        }
+    });
+    words.collect()
+}
+
+/// What reads a row of a predicate.
+type ReadRow<'a> = &'a dyn Fn(&mut Decoder<'_>, PredicateId) -> Result<Row, SnapshotError>;
+
 impl Memory {
+    fn save(&self, out: &mut Encoder<'_>) -> io::Result<()> {
+        out.count(self.holding.len())?;
+        for row in &self.holding {
+            write_row(out, row)?;
+        }
+        // In an order that does not depend on hashes.
+        let rows: BTreeMap<&Row, &Spans> = self.rows.iter().collect();
+        out.count(rows.len())?;
+        for (row, spans) in rows {
+            write_row(out, row)?;
+            out.count(spans.len())?;
+            for (first, last) in spans.ticks() {
+                out.long(*first)?;
+                out.long(*last)?;
+            }
+        }
+        out.count(self.agenda.ticks.len())?;
+        for (tick, rows) in &self.agenda.ticks {
+            out.long(*tick)?;
+            out.count(rows.len())?;
+            for row in rows {
+                write_row(out, row)?;
+            }
+        }
+        let held: BTreeSet<&Row> = self.held.iter().collect();
+        out.count(held.len())?;
+        for row in held {
+            write_row(out, row)?;
+        }
+        Ok(())
+    }
+
+    fn load(&mut self, input: &mut Decoder<'_>, now: u64, read: ReadRow<'_>) -> Result<(), SnapshotError> {
+        let of = self.past.predicate;
+        for _ in 0..input.long()? {
+            self.holding.insert(read(input, of)?);
+        }
+        for _ in 0..input.long()? {
+            let row = read(input, of)?;
+            let mut ticks = Vec::new();
+            for _ in 0..input.long()? {
+                input.room(1, size_of::<(u64, u64)>())?;
+                ticks.push((input.long()?, input.long()?));
+            }
+            let spans = Spans::of(ticks).filter(|spans| spans.ticks().iter().all(|span| span.0 <= now));
+            let spans = spans.ok_or(SnapshotError::Corrupt)?;
+            self.spans += spans.len();
+            self.rows.insert(row, spans);
+        }
+        for _ in 0..input.long()? {
+            let tick = input.long()?;
+            for _ in 0..input.long()? {
+                self.agenda.add(tick, &read(input, of)?);
+            }
+        }
+        let held = input.long()?;
+        let PastOperator::Since(first, columns) = &self.past.operator else {
+            return match held {
+                0 => Ok(()),
+                _ => Err(SnapshotError::Corrupt),
+            };
+        };
+        for _ in 0..held {
+            self.held.insert(read(input, *first)?);
+        }
+        for row in self.rows.keys() {
+            let key: Row = columns.iter().map(|&column| row[column]).collect();
+            if !self.held.contains(&key) {
+                self.unheld.insert(row.clone());
+            }
+            self.by_held.entry(key).or_default().insert(row.clone());
+        }
+        Ok(())
+    }
+
     /// Notes a change of the operand in tick `now`.
     fn note(&mut self, row: &Row, holds: bool, now: u64) {
         let spans = self.rows.entry(row.clone()).or_default();
@@ -268,7 +449,7 @@ impl Memory {
             }
         }
         for row in &self.unheld {
-            let spans = self.rows.get_mut(row).expect("it has spans");
+            let Some(spans) = self.rows.get_mut(row) else { continue };
             let is_open = spans.is_open();
             self.spans -= spans.len();
             spans.clear();

@@ -146,6 +146,7 @@ mod record;
 pub mod rewrite;
 mod row;
 mod session;
+mod snapshot;
 mod spans;
 pub mod symbol;
 mod syntax;
@@ -172,6 +173,7 @@ pub use marginals::{
 pub use plan::optimize;
 pub use program::{Options, Program, ProgramError};
 pub use session::Session;
+pub use snapshot::SnapshotError;
 pub use syntax::ast::{self, BaseType, Comparison, MarkKind};
 pub use syntax::functor::{AggregateOp, Functor};
 pub use syntax::{
@@ -188,7 +190,7 @@ pub mod internal {
     pub use crate::convert::{record_of_text, record_word};
     pub use crate::eval::limits::size;
     pub use crate::spans::Spans;
-    pub use crate::value::{NIL, record_fields, record_source};
+    pub use crate::value::{NIL, record_fields, record_source, whole_record};
 
     pub mod threads {
         pub use crate::threads::{Pool, start};

@@ -6,6 +6,7 @@
 //! is a sorted slice without duplicates.
 // Decision: docs/decisions/facts.md#d007
 
+use crate::snapshot::{Decoder, SnapshotError};
 use crate::value::Value;
 use std::cmp::Ordering;
 
@@ -39,6 +40,44 @@ impl<const W: usize> Row<W> {
         }
         row
     }
+}
+
+/// Reads a saved row. `interned` says which of its words are symbols; these are below `known`.
+pub(crate) fn read_row<const W: usize>(
+    input: &mut Decoder<'_>,
+    interned: &[bool],
+    known: usize,
+) -> Result<Row<W>, SnapshotError> {
+    let mut row = Row::ZERO;
+    for (value, interned) in row.0.iter_mut().zip(interned) {
+        value.0 = input.word()?;
+        if *interned && value.0 as usize >= known {
+            return Err(SnapshotError::Corrupt);
+        }
+    }
+    Ok(row)
+}
+
+/// Reads saved rows, which are sorted and different.
+pub(crate) fn read_rows<const W: usize>(
+    input: &mut Decoder<'_>,
+    count: u64,
+    interned: &[bool],
+    known: usize,
+) -> Result<Vec<Row<W>>, SnapshotError> {
+    /// The rows for which memory is reserved before any is read.
+    const FIRST: u64 = 1 << 12;
+    let mut rows: Vec<Row<W>> = Vec::with_capacity(count.min(FIRST) as usize);
+    for _ in 0..count {
+        input.room(1, size_of::<Row<W>>())?;
+        let row = read_row(input, interned, known)?;
+        if rows.last().is_some_and(|last| *last >= row) {
+            return Err(SnapshotError::Corrupt);
+        }
+        rows.push(row);
+    }
+    rows.shrink_to_fit();
+    Ok(rows)
 }
 
 /// Rows of some width, behind a common interface.

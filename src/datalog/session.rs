@@ -16,9 +16,10 @@ use crate::eval::workers::{Threads, Workers};
 use crate::history::History;
 use crate::program::Program;
 use crate::symbol::Symbols;
-use crate::syntax::ast::BaseType;
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::Value;
+
+mod saved;
 
 /// Facts and everything that the rules derive from them.
 ///
@@ -206,8 +207,7 @@ impl Session {
         let symbol = |text: &str| Some(self.symbols.intern(text));
         let mut encoded = Vec::new();
         let types = &self.program.rules().types;
-        let interned = |column: &crate::check::Column| matches!(column.base, BaseType::Symbol | BaseType::Record);
-        let symbolic = predicate.columns.iter().any(interned);
+        let symbolic = predicate.columns.iter().any(|column| column.base.is_interned());
         let before = self.store.pending(to);
         let mut words: Vec<Value> = Vec::with_capacity(PART);
         let rows = rows.into_iter();
@@ -559,6 +559,27 @@ impl Session {
     pub fn encoded_rows(&self, id: PredicateId) -> impl Iterator<Item = &[Value]> {
         let arity = self.stored(id).map_or(0, |(_, predicate)| predicate.arity());
         (0..self.len(id)).map(move |position| &self.store.row(id, position)[..arity])
+    }
+
+    /// Returns the rows that hold as a value that later commits do not change. It shares the rows, so it takes no copy;
+    /// they stay in memory until it is dropped. A predicate that [is aggregated](Program::is_aggregated) has none.
+    ///
+    /// ```
+    /// # use logicity_datalog::Program;
+    /// let program = Program::parse(".decl edge(x: number, y: number) .input edge")?;
+    /// let mut session = program.session();
+    /// session.insert("edge", (1, 2))?;
+    /// session.commit()?;
+    /// let before = session.shared_rows("edge");
+    /// session.retract("edge", (1, 2))?;
+    /// session.commit()?;
+    /// assert_eq!((before.len(), session.len("edge")), (1, 0));
+    /// assert_eq!(session.decode::<(i64, i64)>("edge", &before)?.collect::<Vec<_>>(), [(1, 2)]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn shared_rows(&self, predicate: impl AsPredicate) -> Rows {
+        let stored = self.stored(predicate);
+        stored.map_or_else(Rows::default, |(id, predicate)| self.store.rows(id, predicate.arity()))
     }
 
     /// Returns rows of a [`Delta`] as Rust values, as [`rows`](Session::rows) does.

@@ -25,9 +25,22 @@ impl Spans {
         self.0.push((tick, OPEN));
     }
 
-    /// Ends the last span with this tick.
+    /// Ends the last span with this tick. A damaged file may have lost it.
     pub fn end(&mut self, tick: u64) {
-        self.0.last_mut().expect("a span has begun").1 = tick;
+        if let Some(last) = self.0.last_mut() {
+            last.1 = tick;
+        }
+    }
+
+    /// Returns the spans: the first and the last tick of each.
+    pub fn ticks(&self) -> &[(u64, u64)] {
+        &self.0
+    }
+
+    /// Returns these spans, or `None` if they are not in order, or one that is not the last has not ended.
+    pub fn of(ticks: Vec<(u64, u64)>) -> Option<Spans> {
+        let in_order = ticks.iter().all(|span| span.0 <= span.1) && ticks.windows(2).all(|two| two[0].1 < two[1].0);
+        in_order.then_some(Spans(ticks))
     }
 
     /// Returns whether the last span has not ended.

@@ -267,6 +267,12 @@ pub(crate) const MESSAGE: usize = 1000;
 /// The maximum length of a record in a file, in bytes.
 pub(crate) const WHOLE: usize = 1 << 24;
 
+/// Returns the whole text of a record as files of rows show it, or `None` if it is longer than 16 MiB.
+pub fn whole_record(value: Value, symbols: &Symbols) -> Option<String> {
+    let mut text = String::new();
+    print_record(value, symbols, WHOLE, false, &mut text).then_some(text)
+}
+
 /// Adds the text of a record to `out`, and returns whether it is complete: a text longer than `limit` bytes ends in
 /// `...`. Symbols stand as in rules with `source`, otherwise as in a rows file.
 pub(crate) fn print_record(value: Value, symbols: &Symbols, limit: usize, source: bool, out: &mut String) -> bool {

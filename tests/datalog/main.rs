@@ -32,6 +32,7 @@ mod rewrite;
 #[path = "../root.rs"]
 mod root;
 mod rule_files;
+mod saved;
 mod shortcuts;
 mod souffle;
 mod temporal;

@@ -10,7 +10,8 @@ use crate::eval::pending::PendingChanges;
 use crate::eval::table::Table;
 use crate::plan::estimate::{Shape, Size};
 use crate::plan::steps::IndexSpec;
-use crate::row::{AnyBatch, ByWidth, NARROW, Row, normalize};
+use crate::row::{AnyBatch, ByWidth, NARROW, Row, normalize, read_rows};
+use crate::snapshot::{Decoder, SnapshotError};
 use crate::value::Value;
 use std::sync::Arc;
 
@@ -132,6 +133,31 @@ impl NarrowTable {
     /// The number of rows.
     pub(crate) fn len(&self) -> usize {
         each!(self, loaded => loaded.table.rows.len())
+    }
+
+    /// The rows, which the result shares.
+    pub(crate) fn rows(&self, arity: usize) -> Rows {
+        each!(self, loaded => Rows::of(arity, Arc::clone(&loaded.table.rows)))
+    }
+
+    /// Adds the pending changes to `words`, as [`PendingChanges::list`] does.
+    pub(crate) fn changes(&self, arity: usize, words: &mut Vec<Value>) {
+        each!(self, loaded => loaded.pending.list(arity, words));
+    }
+
+    /// Reads saved rows.
+    pub(crate) fn restore(
+        &mut self,
+        input: &mut Decoder<'_>,
+        count: u64,
+        interned: &[bool],
+        known: usize,
+    ) -> Result<(), SnapshotError> {
+        each!(self, loaded => {
+            let rows = read_rows(input, count, interned, known)?;
+            loaded.table = loaded.table.reloaded(rows.into());
+        });
+        Ok(())
     }
 
     /// The words of a row, with padding.

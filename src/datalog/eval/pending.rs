@@ -67,6 +67,16 @@ impl<const W: usize> PendingChanges<W> {
         }
     }
 
+    /// Adds the changes to `words`, in order: the words of each row, then 1 for an insertion and 0 for a removal.
+    pub(crate) fn list(&self, arity: usize, words: &mut Vec<Value>) {
+        let coming = self.coming.iter().map(|row| (row, true));
+        let changes = self.changes.iter().map(|(row, present)| (row, *present));
+        for (row, present) in coming.chain(changes) {
+            words.extend_from_slice(&row.0[..arity]);
+            words.push(Value(u32::from(present)));
+        }
+    }
+
     /// Reserves memory for `rows` more insertions.
     pub(crate) fn reserve(&mut self, rows: usize) {
         if self.changes.is_empty() {

@@ -35,6 +35,11 @@ impl BaseType {
         }
     }
 
+    /// Returns whether the words of its values are symbols.
+    pub(crate) fn is_interned(self) -> bool {
+        matches!(self, BaseType::Symbol | BaseType::Record)
+    }
+
     /// Returns the name of the type in rule files.
     pub fn name(self) -> &'static str {
         match self {

@@ -5,7 +5,7 @@ mod adapt;
 mod meter;
 
 use crate::cancel::Cancel;
-use crate::check::{Atom, ClauseId, Literal, Numbering, PredicateId, Term};
+use crate::check::{Atom, ClauseId, Literal, Numbering, PredicateId, Rules, Term};
 use crate::eval::calls::Calls;
 use crate::eval::choice::{Choice, by_value};
 use crate::eval::correlated::CorrelatedValues;
@@ -25,11 +25,13 @@ use crate::eval::workers::Workers;
 use crate::plan::estimate::Shape;
 use crate::plan::steps::{Aim, IndexId, IndexSpec, Plan, Slot, Source, Step, StratumPlan, Version};
 use crate::plan::{Compiled, Plans};
-use crate::row::{AnyBatch, Batch, ByWidth, Row, normalize};
+use crate::row::{AnyBatch, Batch, ByWidth, Row, normalize, read_row, read_rows};
+use crate::snapshot::{Decoder, Encoder, SnapshotError};
 use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::AggregateOp;
 use crate::value::Value;
+use std::io;
 use std::sync::Arc;
 
 /// The state that a session keeps between commits, independent of the row width.
@@ -59,8 +61,14 @@ pub(crate) trait Store: Send + Sync {
     fn row(&self, predicate: PredicateId, position: usize) -> &[Value];
     /// The number of rows of the predicate.
     fn len(&self, predicate: PredicateId) -> usize;
+    /// The rows of the predicate, which the result shares.
+    fn rows(&self, predicate: PredicateId, arity: usize) -> Rows;
     /// The bytes of the rows, indexes and pending changes.
     fn bytes(&self) -> u64;
+    /// Writes the rows and the pending changes.
+    fn save(&self, out: &mut Encoder<'_>) -> io::Result<()>;
+    /// Reads what `save` wrote into a new store. The rows have the first `known` symbols.
+    fn load(&mut self, input: &mut Decoder<'_>, rules: &Rules, known: usize) -> Result<(), SnapshotError>;
     /// The aggregate of the group with this key in a grouped predicate.
     fn group(&self, predicate: PredicateId, key: &[Value], op: AggregateOp) -> Option<Value>;
     /// The value of a correlated aggregate for these parameters, and the number of rows scanned. It stops after about
@@ -327,6 +335,14 @@ impl<const W: usize> State<W> {
         self.rows += narrow.len();
         commit.kept += narrow.pending_bytes();
         Ok(())
+    }
+
+    /// Drops the pending changes of a predicate.
+    fn clear_pending(&mut self, predicate: PredicateId) {
+        self.pending[predicate.index()].clear();
+        if let Some(narrow) = &mut self.narrow[predicate.index()] {
+            narrow.clear_pending();
+        }
     }
 
     /// Gives a narrow table that changes after the first commit the program's width.
@@ -758,10 +774,81 @@ impl<const W: usize> Store for State<W> {
         }
     }
 
+    fn rows(&self, predicate: PredicateId, arity: usize) -> Rows {
+        match &self.narrow[predicate.index()] {
+            Some(narrow) => narrow.rows(arity),
+            None => Rows::of(arity, Arc::clone(&self.tables[predicate.index()].rows)),
+        }
+    }
+
     fn bytes(&self) -> u64 {
         let narrow = self.narrow.iter().flatten().map(NarrowTable::pending_bytes);
         let pending = self.pending.iter().map(PendingChanges::bytes).chain(narrow);
         Self::bytes_of(&self.tables, &self.narrow) + pending.sum::<u64>()
+    }
+
+    fn save(&self, out: &mut Encoder<'_>) -> io::Result<()> {
+        out.flag(self.committed)?;
+        for cost in &self.costs {
+            out.long(cost.rows_scanned)?;
+            out.long(cost.inputs)?;
+        }
+        for predicate in (0..self.tables.len() as u32).map(PredicateId) {
+            let arity = self.plans.indexes.arity(predicate);
+            let rows = self.rows(predicate, arity);
+            out.count(rows.len())?;
+            for word in rows.iter().flatten() {
+                out.word(word.0)?;
+            }
+            let mut changes = Vec::new();
+            match &self.narrow[predicate.index()] {
+                Some(narrow) => narrow.changes(arity, &mut changes),
+                None => self.pending[predicate.index()].list(arity, &mut changes),
+            }
+            out.count(changes.len() / (arity + 1))?;
+            for word in changes {
+                out.word(word.0)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn load(&mut self, input: &mut Decoder<'_>, rules: &Rules, known: usize) -> Result<(), SnapshotError> {
+        self.committed = input.flag()?;
+        for cost in &mut self.costs {
+            cost.rows_scanned = input.long()?;
+            cost.inputs = input.long()?;
+        }
+        for predicate in (0..self.tables.len() as u32).map(PredicateId) {
+            let arity = self.plans.indexes.arity(predicate);
+            let columns = &rules.predicates[predicate.index()].columns;
+            // The columns of groups are others.
+            let interned: Vec<bool> = match self.plans.indexes.is_grouped(predicate) {
+                true => vec![false; arity],
+                false => columns.iter().map(|column| column.base.is_interned()).collect(),
+            };
+            let count = input.long()?;
+            if count > 0 && !self.committed {
+                return Err(SnapshotError::Corrupt);
+            }
+            match &mut self.narrow[predicate.index()] {
+                Some(narrow) => narrow.restore(input, count, &interned, known)?,
+                None => {
+                    let rows = read_rows(input, count, &interned, known)?;
+                    let table = &mut self.tables[predicate.index()];
+                    *table = table.reloaded(rows.into());
+                }
+            }
+            self.rows += self.len(predicate);
+            self.clear_pending(predicate);
+            for _ in 0..input.long()? {
+                input.room(1, size_of::<(Row<W>, bool)>())?;
+                let row: Row<W> = read_row(input, &interned, known)?;
+                let present = input.word()? == 1;
+                self.change(predicate, &row.0[..arity], present);
+            }
+        }
+        Ok(())
     }
 
     fn group(&self, predicate: PredicateId, key: &[Value], op: AggregateOp) -> Option<Value> {
