@@ -2,6 +2,7 @@
 
 mod outputs;
 mod rows;
+mod tables;
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::fact;
@@ -19,8 +20,8 @@ use crate::datalog::cancel::Cancel;
 use crate::datalog::codes;
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{
-    ClauseId, Directive, EvalError, InputPolicy, MarkKind, Past, Predicate, PredicateId, RowPlace, Rules, Value,
-    rewrite,
+    ClauseId, Directive, EvalError, InputPolicy, MarkKind, Past, Predicate, PredicateId, RowEncoding, RowPlace, Rules,
+    Value, facts, rewrite,
 };
 use crate::datalog::{
     Delta, EvalEvent, Limits, MarginalOptions, Marginals, Options, Program, RuleStats, Session, Threads, constraints,
@@ -405,8 +406,9 @@ pub(super) fn predicates(program: &Program) -> impl Iterator<Item = (PredicateId
 fn input_path(folder: &Path, predicate: &str, directive: &Directive) -> Option<PathBuf> {
     match &directive.place {
         RowPlace::Usual => {
-            let plain = folder.join(format!("{predicate}.facts"));
-            let compressed = folder.join(format!("{predicate}.facts.gz"));
+            let end = directive.encoding.extension().unwrap_or("facts");
+            let plain = folder.join(format!("{predicate}.{end}"));
+            let compressed = folder.join(format!("{predicate}.{end}.gz"));
             Some(if !plain.exists() && compressed.exists() {
                 compressed
             } else {
@@ -489,16 +491,31 @@ pub(super) fn load_inputs(
                 continue;
             }
             let path = path.unwrap_or_else(|| PathBuf::from("standard input"));
+            let unreadable = |error: ReadError| {
+                let (name, path) = (&predicate.name, path.display());
+                Failure::Usage(format!("cannot read the facts of `{name}` from `{path}`: {error}"))
+            };
+            if directive.encoding == RowEncoding::Parquet {
+                let file = files::open_regular(&path).map_err(unreadable)?;
+                faults.extend(tables::load(session, id, file, &path).err());
+                continue;
+            }
             let input: Result<Box<dyn Read>, ReadError> = match &directive.place {
                 RowPlace::Terminal => Ok(Box::new(io::stdin())),
                 RowPlace::File(name) if name == "/dev/stdin" => Ok(Box::new(io::stdin())),
                 _ => files::open_regular(&path).and_then(decompressed),
             };
-            let unreadable = |error: ReadError| {
-                let (name, path) = (&predicate.name, path.display());
-                Failure::Usage(format!("cannot read the facts of `{name}` from `{path}`: {error}"))
-            };
             let input = input.map_err(unreadable)?;
+            if let RowEncoding::Json { .. } = directive.encoding {
+                let loaded = facts::load_json(session, id, input);
+                let loaded = loaded.map_err(|error| unreadable(ReadError::Io(error.to_string())))?;
+                faults.extend(
+                    loaded
+                        .err()
+                        .map(|fault| fault.note(format!("while reading `{}`", path.display()))),
+                );
+                continue;
+            }
             let to = (&mut *session, id, &directive.format);
             faults.extend(load_rows(input, &path, to, sources, unreadable)?);
         }

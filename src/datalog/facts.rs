@@ -1,4 +1,4 @@
-//! Predicates as text, in Soufflé's conventions.
+//! Predicates as text and as JSON, in Soufflé's conventions.
 //!
 //! Each line is one row. Tabs separate the values unless a [`RowFormat`] sets another delimiter. A symbol stands as it
 //! is, a number in decimal, a float with up to nine significant digits. The only row of a predicate without columns is
@@ -17,6 +17,10 @@ use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::io::{self, Write};
 use std::ops::Range;
+
+mod json;
+
+pub use json::{load_json, write_json};
 
 /// Inserts the rows of a `.facts` text into a predicate and returns the number of rows read.
 ///
@@ -340,6 +344,27 @@ pub fn sorted(session: &Session, id: PredicateId) -> Vec<&[Value]> {
     rows
 }
 
+/// Returns the rows of a predicate in the order of [`sorted`]. The order takes eight bytes for each row, or nothing if
+/// the session holds the rows in that order.
+fn ordered<'s>(session: &'s Session, predicate: &Predicate, id: PredicateId) -> impl Iterator<Item = &'s [Value]> {
+    let in_order = (session.encoded_rows(id)).is_sorted_by(|a, b| compare(session, predicate, a, b).is_le());
+    let mut order: Vec<usize> = Vec::new();
+    if !in_order {
+        order.extend(0..session.len(id));
+        let row = |at: usize| session.row(id, at);
+        order.sort_unstable_by(|&a, &b| compare(session, predicate, row(a), row(b)));
+    }
+    (0..session.len(id)).map(move |at| session.row(id, order.get(at).copied().unwrap_or(at)))
+}
+
+/// Returns the whole text of a record.
+fn record_text(session: &Session, predicate: &Predicate, record: Value) -> io::Result<String> {
+    value::whole_record(record, session.symbols()).ok_or_else(|| {
+        let (name, most) = (&predicate.name, value::WHOLE >> 20);
+        io::Error::other(format!("a record in `{name}` has more than {most} MiB of text"))
+    })
+}
+
 /// Compares rows column by column: numbers by value, symbols by text, records by their fields.
 fn compare(session: &Session, predicate: &Predicate, a: &[Value], b: &[Value]) -> Ordering {
     let mut columns = predicate.columns.iter().zip(a.iter().zip(b));
@@ -377,15 +402,7 @@ pub fn write_rows(session: &Session, id: PredicateId, format: &RowFormat, out: &
         return Ok(());
     };
     let text = |value: Value| session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
-    let in_order = (session.encoded_rows(id)).is_sorted_by(|a, b| compare(session, predicate, a, b).is_le());
-    let mut order: Vec<usize> = Vec::new();
-    if !in_order {
-        order.extend(0..session.len(id));
-        let row = |at: usize| session.row(id, at);
-        order.sort_unstable_by(|&a, &b| compare(session, predicate, row(a), row(b)));
-    }
-    for at in 0..session.len(id) {
-        let row = session.row(id, order.get(at).copied().unwrap_or(at));
+    for row in ordered(session, predicate, id) {
         for (position, (column, value)) in predicate.columns.iter().zip(row).enumerate() {
             if position > 0 {
                 out.write_all(format.delimiter.as_bytes())?;
@@ -397,13 +414,7 @@ pub fn write_rows(session: &Session, id: PredicateId, format: &RowFormat, out: &
                 BaseType::Unsigned => write!(out, "{}", value.0)?,
                 BaseType::Float => out.write_all(print_float(value.as_float()).as_bytes())?,
                 BaseType::Record => {
-                    let mut text = String::new();
-                    if !print_record(*value, session.symbols(), value::WHOLE, false, &mut text) {
-                        let (name, most) = (&predicate.name, value::WHOLE >> 20);
-                        return Err(io::Error::other(format!(
-                            "a record in `{name}` has more than {most} MiB of text"
-                        )));
-                    }
+                    let text = record_text(session, predicate, *value)?;
                     match format.quoted {
                         true => write!(out, "\"{}\"", text.replace('"', "\"\""))?,
                         false => out.write_all(text.as_bytes())?,

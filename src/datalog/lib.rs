@@ -27,7 +27,7 @@
 //! - [`Session`]: holds facts, commits changes and answers queries. Rows are tuples of Rust values, or slices of
 //!   [`Value`]s, which take no conversion.
 //! - [`diag`]: the errors and warnings of rules, with their places.
-//! - [`facts`]: reads and writes predicates as text.
+//! - [`facts`]: reads and writes predicates as text and as JSON.
 //! - [`explain`]: proves why a fact holds, and shows why another one does not.
 //! - [`diff`]: compares two rule sets, and proves them equivalent or finds a difference.
 //! - [`Workspace`]: edits a program and runs ad hoc queries.
@@ -157,8 +157,8 @@ mod workspace;
 pub use analysis::{constraints, diff};
 pub use check::{
     Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Draw, Function, FunctorBatch,
-    FunctorError, InputPolicy, Literal, Numbering, Past, PastOperator, Predicate, PredicateId, RecordShape, RowFormat,
-    RowPlace, Rules, Stratum, Term, Type, TypeId, UserFunctor, VarId, drawn_probabilities,
+    FunctorError, InputPolicy, Literal, Numbering, Past, PastOperator, Predicate, PredicateId, RecordShape,
+    RowEncoding, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, UserFunctor, VarId, drawn_probabilities,
 };
 pub use convert::{AsPredicate, FromRow, FromValue, IntoRow, RowError, ToValue};
 pub use eval::delta::{Delta, PredicateChange, Rows};

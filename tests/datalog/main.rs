@@ -17,6 +17,7 @@ mod explain;
 mod format;
 mod functors;
 mod hostile;
+mod json;
 mod lang;
 mod mixed;
 mod near_files;

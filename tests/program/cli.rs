@@ -1734,6 +1734,126 @@ fn query_follows_the_options_of_directives() {
     );
 }
 
+/// Rows go through JSON and Parquet and come back as the same text.
+#[test]
+fn query_reads_and_writes_json_and_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path().to_str().unwrap();
+    let declared = ".type P = [n: number, s: symbol]\n.decl a(n: number, u: unsigned, f: float, s: symbol, p: P)\n";
+    let first = write(
+        folder.path(),
+        "first.dl",
+        format!(
+            "{declared}.input a\n\
+             .output a(filename=\"text.csv\")\n\
+             .output a(filename=\"a.parquet\")\n\
+             .output a(IO=jsonfile, filename=\"list.json\")\n\
+             .output a(IO=jsonfile, format=object)\n\
+             .output a(IO=jsonfile, filename=\"list.json.gz\", compress=true)\n"
+        ),
+    );
+    let rows = "-1\t4294967295\t0.5\tsay \"é\"\t[3, x]\n2\t0\t1e+10\t\tnil\n";
+    write(folder.path(), "a.facts", rows);
+    let output = logicity(["query", &first, "-F", here, "-D", here]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let written = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    assert_eq!(written("text.csv"), rows);
+    assert_eq!(
+        written("list.json"),
+        "[[-1, 4294967295, 0.5, \"say \\\"é\\\"\", \"[3, x]\"],\n[2, 0, 1e+10, \"\", \"nil\"]]\n"
+    );
+    assert!(written("a.json").starts_with("[{\"n\": -1, \"u\": 4294967295, \"f\": 0.5, "));
+    for (name, options) in [
+        ("json", "(IO=jsonfile)"),
+        ("compressed", "(IO=jsonfile, filename=\"list.json.gz\")"),
+        ("table", "(format=parquet)"),
+        ("named", "(filename=\"a.parquet\")"),
+    ] {
+        let rules = format!("{declared}.input a{options}\n.output a(filename=\"{name}.csv\")\n");
+        let rules = write(folder.path(), &format!("{name}.dl"), &rules);
+        let output = logicity(["query", &rules, "-F", here, "-D", here]);
+        assert_eq!(
+            (code(&output), written(&format!("{name}.csv"))),
+            (0, rows.to_owned()),
+            "{}",
+            err(&output)
+        );
+    }
+    // Columns of the same names in another order.
+    let rules = ".decl a(u: unsigned, n: number, f: float, s: symbol, p: symbol)\n.input a(format=parquet)\n\
+                 .output a(filename=\"by_name.csv\")\n";
+    let rules = write(folder.path(), "by_name.dl", rules);
+    assert_eq!(code(&logicity(["query", &rules, "-F", here, "-D", here])), 0);
+    assert!(written("by_name.csv").ends_with("4294967295\t-1\t0.5\tsay \"é\"\t[3, x]\n"));
+
+    for (declared, options, messages) in [
+        (
+            "a(n: number)",
+            "(format=parquet)",
+            vec!["invalid-fact", "the 1 columns [n] of `a`, not the 5 columns [n, u"],
+        ),
+        (
+            "a(n: number, u: number, f: float, s: symbol, p: symbol)",
+            "(format=parquet)",
+            vec!["row 0: column `u` of `a` holds numbers, not 4294967295", "a.parquet"],
+        ),
+        (
+            "a(n: number, u: unsigned, f: float, s: unsigned, p: symbol)",
+            "(IO=jsonfile)",
+            vec![
+                "column `s` of `a` holds unsigned numbers",
+                "in line 1, column ",
+                "a.json",
+            ],
+        ),
+        (
+            "a(n: number)",
+            "(filename=\"a.parquet\", format=text)",
+            vec!["not-text"],
+        ),
+        (
+            "a(n: number)",
+            "(filename=\"text.csv\", format=parquet)",
+            vec!["not a readable Parquet table", "text.csv"],
+        ),
+        (
+            "a(n: number)",
+            "(filename=\"gone.parquet\")",
+            vec!["gone.parquet", "no such file"],
+        ),
+        (
+            "a(n: number)",
+            "(IO=jsonfile, format=parquet)",
+            vec!["unsupported", "use `list` or `object`"],
+        ),
+        (
+            "a(n: number)",
+            "(format=xml)",
+            vec!["unsupported", "`text` or `parquet`"],
+        ),
+    ] {
+        let rules = write(
+            folder.path(),
+            "bad.dl",
+            format!(".decl {declared}\n.input a{options}\n.output a\n"),
+        );
+        let output = logicity(["query", &rules, "-F", here, "-D", here]);
+        assert_ne!(code(&output), 0, "{options}");
+        for message in messages {
+            assert!(err(&output).contains(message), "{options}: {message}\n{}", err(&output));
+        }
+    }
+    // A damaged table is refused, wherever a byte differs.
+    let table = fs::read(folder.path().join("a.parquet")).unwrap();
+    let rules = format!("{declared}.input a(filename=\"damaged.parquet\")\n.output a(IO=stdout)\n");
+    let rules = write(folder.path(), "damaged.dl", &rules);
+    for at in (0..table.len()).step_by(table.len() / 12) {
+        fs::write(folder.path().join("damaged.parquet"), &table[..at]).unwrap();
+        let output = logicity(["query", &rules, "-F", here]);
+        assert_eq!(code(&output), 1, "{at}: {}", err(&output));
+    }
+}
+
 #[test]
 fn query_reads_rows_as_souffle_writes_them() {
     let folder = tempfile::tempdir().unwrap();

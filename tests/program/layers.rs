@@ -25,6 +25,7 @@ const ONLY_IN: &[(&str, &str)] = &[
     ("egg", "src/datalog/plan/optimize/saturate.rs"),
     ("include_dir", "src/builtin.rs"),
     ("logicity_datalog", "src/files.rs"),
+    ("parquet", "src/cli/query/tables.rs"),
     ("parquet", "src/task/induction/steps.rs"),
     ("parquet", "src/task/vap/table.rs"),
     ("rand_chacha", "src/datalog/analysis/diff/trial.rs"),

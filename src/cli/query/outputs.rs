@@ -6,10 +6,10 @@
 use crate::cli::failure::Failure;
 use crate::cli::inputs::Inputs;
 use crate::cli::outputs::{finish, unwritable};
-use crate::cli::query::{Arguments, predicates, print_predicate};
+use crate::cli::query::{Arguments, predicates, print_predicate, tables};
 use crate::cli::terminal;
 use crate::datalog::codes;
-use crate::datalog::{Directive, MarkKind, Predicate, PredicateId, Program, RowPlace, Session, facts};
+use crate::datalog::{Directive, MarkKind, Predicate, PredicateId, Program, RowEncoding, RowPlace, Session, facts};
 use crate::diag::Diagnostic;
 use crate::files::{FileId, Output, make_folder, normalize, real_path};
 use flate2::Compression;
@@ -78,7 +78,13 @@ fn path_of(folder: &Path, predicate: &str, directive: &Directive) -> Option<Path
         _ if folder == Path::new("-") => None,
         RowPlace::Terminal => None,
         RowPlace::Usual => {
-            let end = if directive.compress { "csv.gz" } else { "csv" };
+            let end = directive.encoding.extension().unwrap_or("csv");
+            let compressed = directive.compress && directive.encoding != RowEncoding::Parquet;
+            let end = if compressed {
+                format!("{end}.gz")
+            } else {
+                end.to_owned()
+            };
             Some(inside(&format!("{predicate}.{end}")))
         }
         RowPlace::File(name) => Some(inside(name)),
@@ -146,7 +152,15 @@ pub fn check(program: &Program, arguments: &Arguments, inputs: &Inputs) -> Resul
 
 /// Returns whether two directives write the same rows in the same form.
 fn is_repeated(one: &Target<'_>, other: &Target<'_>) -> bool {
-    let form = |target: &Target<'_>| (target.id, target.directive.format.clone(), target.directive.compress);
+    let form = |target: &Target<'_>| {
+        let Directive {
+            encoding,
+            format,
+            compress,
+            ..
+        } = target.directive;
+        (target.id, *encoding, format.clone(), *compress)
+    };
     form(one) == form(other)
 }
 
@@ -160,8 +174,19 @@ pub fn write(out: &mut dyn Write, session: &Session, arguments: &Arguments, inpu
         let mut format = target.directive.format.clone();
         // Soufflé does the same.
         format.headers |= to_terminal;
-        let header = facts::header(target.predicate, &format);
-        let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
+        let json = match target.directive.encoding {
+            RowEncoding::Json { objects } => Some(objects),
+            // A terminal shows a table as text.
+            RowEncoding::Text | RowEncoding::Parquet => None,
+        };
+        let header = match json {
+            Some(_) => String::new(),
+            None => facts::header(target.predicate, &format),
+        };
+        let rows = |out: &mut dyn Write| match json {
+            Some(objects) => facts::write_json(session, id, objects, out),
+            None => facts::write_rows(session, id, &format, out),
+        };
         match &target.path {
             _ if target.directive.kind == MarkKind::PrintSize => writeln!(out, "{name}\t{}", session.len(id))?,
             None => print_predicate(out, name, &header, rows)?,
@@ -215,16 +240,23 @@ fn write_files<'a>(
     Ok(())
 }
 
-/// Writes a predicate with its header.
+/// Writes a predicate in the encoding of its directive.
 fn write_rows(output: &mut Output, target: &Target<'_>, session: &Session) -> io::Result<()> {
-    let format = &target.directive.format;
-    let header = facts::header(target.predicate, format);
-    if !target.directive.compress {
-        output.write_all(header.as_bytes())?;
-        return facts::write_rows(session, target.id, format, output);
+    let write = |out: &mut dyn Write| match target.directive.encoding {
+        RowEncoding::Json { objects } => facts::write_json(session, target.id, objects, out),
+        _ => {
+            let format = &target.directive.format;
+            out.write_all(facts::header(target.predicate, format).as_bytes())?;
+            facts::write_rows(session, target.id, format, out)
+        }
+    };
+    match (target.directive.encoding, target.directive.compress) {
+        (RowEncoding::Parquet, _) => tables::write(session, target.id, output),
+        (_, false) => write(output),
+        (_, true) => {
+            let mut stream = GzEncoder::new(output, Compression::default());
+            write(&mut stream)?;
+            stream.finish().map(drop)
+        }
     }
-    let mut stream = GzEncoder::new(output, Compression::default());
-    stream.write_all(header.as_bytes())?;
-    facts::write_rows(session, target.id, format, &mut stream)?;
-    stream.finish().map(drop)
 }

@@ -49,8 +49,8 @@ pub use functors::{FunctorBatch, FunctorError};
 pub(crate) use rules::bind_all;
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Numbering, Past,
-    PastOperator, Predicate, PredicateId, RecordShape, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId,
-    UserFunctor, VarId, shapes,
+    PastOperator, Predicate, PredicateId, RecordShape, RowEncoding, RowFormat, RowPlace, Rules, Stratum, Term, Type,
+    TypeId, UserFunctor, VarId, shapes,
 };
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;

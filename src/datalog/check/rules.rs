@@ -148,7 +148,9 @@ pub struct Directive {
     pub kind: MarkKind,
     /// The source or destination of the rows.
     pub place: RowPlace,
-    /// The text format of the rows.
+    /// The encoding of the rows.
+    pub encoding: RowEncoding,
+    /// The text format of the rows, if they are text.
     pub format: RowFormat,
     /// Whether a file of results is compressed with gzip.
     pub compress: bool,
@@ -165,6 +167,31 @@ pub enum RowPlace {
     File(String),
     /// `IO=stdin` or `IO=stdout`: the standard streams.
     Terminal,
+}
+
+/// The encoding of rows in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RowEncoding {
+    /// Lines of text in a [`RowFormat`].
+    Text,
+    /// `IO=jsonfile`: a list of rows.
+    Json {
+        /// `format=object`: whether each row is written as an object with the names of the columns, not as a list.
+        objects: bool,
+    },
+    /// `format=parquet`, or a name that ends with `.parquet`: a Parquet table.
+    Parquet,
+}
+
+impl RowEncoding {
+    /// Returns the end of the name of a file with such rows, if it is the same for inputs and outputs.
+    pub fn extension(self) -> Option<&'static str> {
+        match self {
+            RowEncoding::Text => None,
+            RowEncoding::Json { .. } => Some("json"),
+            RowEncoding::Parquet => Some("parquet"),
+        }
+    }
 }
 
 /// The text format of rows.

@@ -10,8 +10,8 @@ use crate::eqrel::EQREL;
 
 use crate::check::Policy;
 use crate::check::rules::{
-    self, Column, Directive, Predicate, PredicateId, RECORDS, RecordShape, RowFormat, RowPlace, Type, TypeId,
-    UserFunctor,
+    self, Column, Directive, Predicate, PredicateId, RECORDS, RecordShape, RowEncoding, RowFormat, RowPlace, Type,
+    TypeId, UserFunctor,
 };
 use crate::syntax::ast::BaseType;
 use crate::syntax::ast::{Decl, FunctorDecl, Item, Mark, MarkKind, Name, Pragma};
@@ -665,17 +665,20 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
     let mut delimiter = None;
     let mut terminal = false;
     let mut compress = false;
+    let mut json = false;
+    let mut encoded = None;
     for option in &mark.options {
         let flag = option.value == "true";
         match option.key.text.as_str() {
             "IO" => match (mark.kind, option.value.as_str()) {
                 (MarkKind::Input | MarkKind::Output, "file") | (MarkKind::PrintSize, "stdoutprintsize") => {}
+                (MarkKind::Input | MarkKind::Output, "jsonfile") => json = true,
                 (MarkKind::Input, "stdin") | (MarkKind::Output, "stdout") => terminal = true,
                 (_, value) => {
                     let fault = Diagnostic::new(codes::UNSUPPORTED, format!("`IO={value}` is not supported here"));
                     let known = match mark.kind {
-                        MarkKind::Input => "`file` or `stdin`",
-                        MarkKind::Output => "`file` or `stdout`",
+                        MarkKind::Input => "`file`, `jsonfile` or `stdin`",
+                        MarkKind::Output => "`file`, `jsonfile` or `stdout`",
                         _ => "`stdoutprintsize`",
                     };
                     faults.push(fault.at(option.place.0, "").help(format!("use {known}")));
@@ -701,6 +704,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                     faults.push(fault.help("list each column number once, counted from 0: `columns=\"0:2:1\"`"));
                 }
             },
+            "format" if mark.kind != MarkKind::PrintSize => encoded = Some(option),
             "compress" if mark.kind != MarkKind::PrintSize => compress = flag,
             "dbname" => {
                 let fault = Diagnostic::new(codes::UNSUPPORTED, "the option `dbname` is not supported");
@@ -713,6 +717,36 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             }
         }
     }
+    let named = matches!(&place, RowPlace::File(name) if name.ends_with(".parquet"));
+    let encoding = match (json, encoded.map(|option| option.value.as_str())) {
+        (true, None | Some("list")) => RowEncoding::Json { objects: false },
+        (true, Some("object")) => RowEncoding::Json { objects: true },
+        (false, None) if named && !terminal => RowEncoding::Parquet,
+        (false, None | Some("text")) => RowEncoding::Text,
+        (false, Some("parquet")) if !terminal => RowEncoding::Parquet,
+        (_, Some(value)) => {
+            let (what, known) = match (json, terminal) {
+                (true, _) => ("JSON", "`list` or `object`"),
+                (false, true) => ("a stream", "`text`"),
+                (false, false) => ("a file", "`text` or `parquet`, or `IO=jsonfile`"),
+            };
+            let message = format!("`format={value}` is not supported for {what}");
+            let place = encoded.map_or(mark.names[0].place.0, |option| option.place.0);
+            let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(place, "");
+            faults.push(fault.help(format!("use {known}")));
+            RowEncoding::Text
+        }
+    };
+    if encoding != RowEncoding::Text {
+        let of_text = ["columns", "delimiter", "headers", "rfc4180"];
+        let useless = |key: &str| of_text.contains(&key) || (key == "compress" && encoding == RowEncoding::Parquet);
+        for option in mark.options.iter().filter(|option| useless(&option.key.text)) {
+            let message = format!("the option `{}` is only for rows as text", option.key.text);
+            let fault = Diagnostic::new(codes::IGNORED, message);
+            faults.push(fault.at(option.key.place.0, "").help("remove it"));
+        }
+        format.columns.clear();
+    }
     let usual = if format.quoted { "," } else { "\t" };
     format.delimiter = delimiter.unwrap_or_else(|| usual.to_owned());
     if terminal {
@@ -721,6 +755,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
     Directive {
         kind: mark.kind,
         place,
+        encoding,
         format,
         compress,
         span: mark.names[0].place.0,
