@@ -187,6 +187,28 @@ class Program:
         """Return the initial plan of every clause, which assumes few rows. See `Session.plan`."""
         return self._program.plan()
 
+    def to_souffle(self) -> str:
+        """Return a plain program for Soufflé: declarations, facts, rules and directives in one text.
+
+        Components, macros and includes are written out, so engines with a part of the language can take it. A name
+        that only this language permits gets `_` in place of other characters.
+
+        Raises:
+            InputError: If plain Soufflé cannot express a part of the program, with all places.
+        """
+        return self._program.export(False)
+
+    def to_sql(self) -> str:
+        """Return statements for DuckDB that make a table with the rows of each predicate.
+
+        The tables of `.input` predicates may exist before. Recursion becomes `with recursive`.
+
+        Raises:
+            InputError: If SQL cannot express a part of the program, with all places: recursion through several
+                predicates or that is not linear, some functors, and what `to_souffle` refuses.
+        """
+        return self._program.export(True)
+
 
 class Rows:
     """The rows of a predicate, those that a commit added or removed, or those that answer a query.

@@ -5,8 +5,8 @@ use crate::columns::{self, Maker, Target};
 use crate::output::{overwrite_if, unwritable};
 use crate::{LimitArguments, Shared, Signals, input_error, limits_of, read_error, threads_of, to_python};
 use logicity::builtin::BuiltinFiles;
-use logicity::datalog;
 use logicity::datalog::explain::{ExplainError, Explainer, ExplanationPrinter};
+use logicity::datalog::{self, export};
 use logicity::datalog::{ClauseId, Column, InputPolicy, Predicate, PredicateId, Value, Workspace};
 use logicity::datalog::{
     EvalError, FunctorBatch, Limits, MarginalOptions, Marginals, Probability, Program, RowError, SnapshotError,
@@ -254,6 +254,17 @@ impl PyProgram {
 
     fn plan(&self) -> String {
         self.0.program.show_plans(&self.0.sources)
+    }
+
+    /// Returns the rules for another engine: as `sql`, otherwise as a plain program for Soufflé.
+    fn export(&self, py: Python<'_>, sql: bool) -> PyResult<String> {
+        let rules = self.0.program.rules();
+        let written = if sql {
+            export::sql(rules)
+        } else {
+            export::souffle(rules)
+        };
+        written.map_err(|faults| input_error(py, &faults, &self.0.sources))
     }
 }
 

@@ -118,7 +118,7 @@ class Runner:
 def test_blocks_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if page.name == "rule-layer.md":
         needs("torch", "learn")
-    if page.name == "exchange-data.md":
+    if page.name in ("exchange-data.md", "other-engines.md"):
         needs("duckdb", "frames")
         needs("polars", "frames")
     monkeypatch.chdir(tmp_path)

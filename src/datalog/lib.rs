@@ -28,6 +28,7 @@
 //!   [`Value`]s, which take no conversion.
 //! - [`diag`]: the errors and warnings of rules, with their places.
 //! - [`facts`]: reads and writes predicates as text and as JSON.
+//! - [`export`]: writes rules for other engines, as plain Soufflé and as SQL.
 //! - [`explain`]: proves why a fact holds, and shows why another one does not.
 //! - [`diff`]: compares two rule sets, and proves them equivalent or finds a difference.
 //! - [`Workspace`]: edits a program and runs ad hoc queries.
@@ -134,6 +135,7 @@ mod diagram;
 mod eqrel;
 mod eval;
 pub mod explain;
+pub mod export;
 pub mod facts;
 pub mod files;
 mod history;

@@ -14,6 +14,7 @@ mod diff;
 mod dominance;
 mod engine;
 mod explain;
+mod export;
 mod format;
 mod functors;
 mod hostile;
