@@ -28,6 +28,7 @@ mod order;
 mod pages;
 mod preprocessor;
 mod proofs;
+mod queries;
 mod random_program;
 mod records;
 mod rewrite;
