@@ -88,7 +88,7 @@ fn part(kind: u64, at: u64, a: &str, b: &str, random: &mut Random) -> String {
             1 + random.below(9)
         ),
         9 => format!(
-            "{plain}{p}(x, c) :- {a}(x, _), c = count : {{ {b}(x, y), {a}(_, y) }}. {p}(x, m) :- {b}(x, _), m = max y : {{ {a}(x, y) }}.\n"
+            "{plain}{p}(x, c) :- {a}(x, _), c = count : {{ {b}(x, y), {a}(_z, y) }}. {p}(x, m) :- {b}(x, _), m = max y : {{ {a}(x, y) }}.\n"
         ),
         10 => format!(
             ".decl near{at}(x: number, y: number) inline\nnear{at}(x, y) :- x < y, y < x + 3. near{at}(x, x) :- x > 1.\n\
@@ -169,8 +169,8 @@ fn part(kind: u64, at: u64, a: &str, b: &str, random: &mut Random) -> String {
              {plain}{p}(x, c) :- {a}(x, _), c = count : {{ k{at}(x, _) }}. {p}(x, -1) :- k{at}(x, y), !{a}(x, y), y != 1.\n"
         ),
         22 => format!(
-            ".decl k{at}(x: symbol, y: number, n: number)\nk{at}(x, y, autoinc()) :- {a}(x, y), {b}(x, z), z <= y.\n\
-             {plain}{p}(x, c) :- {a}(x, y), c = count : {{ k{at}(x, y, _) }}.\n"
+            ".decl k{at}(x: symbol, y: number, z: number, n: number)\nk{at}(x, y, z, autoinc()) :- {a}(x, y), {b}(x, z), z <= y.\n\
+             {plain}{p}(x, c) :- {a}(x, y), c = count : {{ k{at}(x, y, _, _) }}.\n"
         ),
         23 => format!(
             "{plain}{p}(x, y) :- {a}(x, y), !({b}(x, _), {b}(_, y)). {p}(x, 3) :- {b}(x, 3), !(!{a}(x, 3); {a}(x, 2)).\n"
@@ -204,7 +204,7 @@ fn part(kind: u64, at: u64, a: &str, b: &str, random: &mut Random) -> String {
         ),
         _ => format!(
             "{plain}.decl k{at}(x: symbol, n: number)\nk{at}(x, autoinc()) :- {a}(x, y), {b}(_, y).\nk{at}(x, $) :- {b}(x, 1).\n\
-             {p}(x, n % 7) :- k{at}(x, n).\n"
+             {p}(x, n % 7) :- k{at}(x, n). {p}(x, c) :- {a}(x, _), c = count : {{ {b}(x, y), {a}(_, y) }}.\n"
         ),
     }
 }
@@ -245,7 +245,7 @@ fn random_programs_derive_what_souffle_derives() {
     let mut different = 0;
     for seed in 0..u64::from(total) {
         let mut random = Random(seed);
-        let mut text = random_program(&mut random, KINDS_OF_SOUFFLE);
+        let mut text = written_for_souffle(&random_program(&mut random, KINDS_OF_SOUFFLE));
         let outputs = shown_predicates(&text);
         text += &format!(".output {}\n", outputs.join(", "));
         let ours = program(&text).define("half", |(x,): (i32,)| Some(x / 2));
@@ -282,7 +282,18 @@ fn random_programs_derive_what_souffle_derives() {
             );
         }
     }
+    eprintln!("{total} programs, {different} differ");
     assert_eq!(different, 0, "of {total} programs have other results in Soufflé");
+}
+
+/// Returns a program of the same meaning without two forms: a branch has parentheses in Soufflé, and a `.limitsize` has
+/// no effect beside `magic` predicates.
+fn written_for_souffle(text: &str) -> String {
+    let text = text.replace("$Red)", "$Red())").replace("$Green)", "$Green())");
+    match text.contains(".limitsize") {
+        true => text.replace(" magic\n", "\n"),
+        false => text,
+    }
 }
 
 /// Returns the predicates of parts whose rows Soufflé determines: those with rows that are not called `k`.
