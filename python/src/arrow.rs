@@ -2,7 +2,7 @@
 //!
 //! Both sides exchange buffers through the Arrow PyCapsule interface, without a Python object for each value. The engine
 //! keeps rows, so each column is written once in either direction.
-// Decision: docs/decisions/facts.md#d094
+// Decision: docs/decisions/facts.md#d087
 
 use crate::columns::{ROWS_PER_CHECK, Target, Words, expects, float, number};
 use arrow_array::cast::AsArray as _;

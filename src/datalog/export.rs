@@ -2,7 +2,7 @@
 //!
 //! Checked rules have no components, macros, includes, nested expressions or alternatives any more, so a plain program
 //! is a listing of them. What another engine cannot express is an error with its place.
-// Decision: docs/decisions/analysis.md#d095
+// Decision: docs/decisions/analysis.md#d088
 
 mod names;
 mod souffle;

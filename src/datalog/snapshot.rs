@@ -9,7 +9,7 @@
 //! ```
 //!
 //! A reader trusts no number: it allocates what it has read, and stops at its limit of memory.
-// Decision: docs/decisions/facts.md#d093
+// Decision: docs/decisions/facts.md#d086
 
 use sha2::{Digest as _, Sha256};
 use std::fmt;

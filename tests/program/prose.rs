@@ -272,6 +272,8 @@ fn prose_of_markdown_files_wraps() {
         collect(&root().join(place), &mut files);
     }
     files.retain(|path| path.extension().is_some_and(|ending| ending == "md"));
+    // `logicity release` writes these cards.
+    files.retain(|path| !path.starts_with(root().join("python/logicity/policies")));
     assert!(files.len() > 80, "only {} files read", files.len());
     let mut faults = Vec::new();
     for path in &files {
