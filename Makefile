@@ -12,7 +12,7 @@ FUZZ_SECONDS := 600
 # The table to which each target appends a row. Rows in tests/fuzz/executions.csv are those of unchanged commits.
 FUZZ_TABLE := target/fuzz.csv
 
-.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all python-all-installed policies rllib page docs versions site links playground vscode solvers solvers-marginals peers souffle souffle-tests bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel musl-wheel image installed python python-all python-all-installed policies rllib page docs versions site links playground vscode solvers solvers-marginals peers souffle souffle-tests suite bench-record fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint features rust doc python page docs
 
@@ -94,7 +94,7 @@ docs: installed
 	$(VENV)/$(BIN)/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[docs]"
 	$(VENV)/$(BIN)/ruff check --config python/pyproject.toml docs benches/record.py
 	$(VENV)/$(BIN)/ruff format --config python/pyproject.toml --check docs benches/record.py
-	MYPYPATH=docs $(VENV)/$(BIN)/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py docs/search.py docs/chart.py docs/dark.py docs/notebooks.py benches/record.py
+	MYPYPATH=docs $(VENV)/$(BIN)/mypy --strict --config-file python/pyproject.toml docs/conf.py docs/links.py docs/search.py docs/chart.py docs/suite.py docs/dark.py docs/notebooks.py benches/record.py
 	$(VENV)/$(BIN)/sphinx-build --builder html --quiet --fail-on-warning --nitpicky --fresh-env --doctree-dir $(SITE)-cache docs $(SITE)
 	$(VENV)/$(BIN)/python docs/links.py $(SITE)
 	$(VENV)/$(BIN)/python docs/search.py $(SITE)
@@ -272,6 +272,14 @@ tag: release-check package
 PEERS_OPTIONS ?= --repeats 3
 peers:
 	cargo run --release --locked --manifest-path benches/peers/Cargo.toml -- $(PEERS_OPTIONS)
+
+# Not part of `make test`. Compares the engine with its peers on larger programs, also after changes of the facts, and
+# writes the figures, which the page about speed draws. Takes Soufflé and datatoad if they are on the path.
+# SUITE_OPTIONS are options of the program; the limits of time and memory are those of each run.
+SUITE := benches/suite.json
+SUITE_OPTIONS ?= --repeats 1 --time 60 --memory 10 --peers query,ascent,differential,souffle,souffle-compiled,datatoad
+suite:
+	cargo run --release --locked --manifest-path benches/peers/Cargo.toml -- --suite --json $(SUITE) $(SUITE_OPTIONS)
 
 # Not part of `make test`. Compares the results of random programs with those of Soufflé, which must be installed; it also
 # needs a C++ compiler for functors. LOGICITY_RANDOM_CASES=6400 compares 5,000 programs instead of 200.

@@ -24,6 +24,7 @@ from typing import Any
 import chart
 import history
 import logicity
+import suite
 from logicity.commands import SUMMARIES, parser_of
 from logicity.describe import describe, environment_page, parallel_page
 from logicity.modes import ENVIRONMENTS
@@ -648,6 +649,7 @@ GENERATORS: dict[str, Callable[[], str]] = {
         "\n\n|"
     )[0],
     "history": lambda: history.page((ROOT / "benches" / "history.jsonl").read_text(encoding="utf-8")),
+    "suite": lambda: suite.page((ROOT / "benches" / "suite.json").read_text(encoding="utf-8")),
     **{f"results-{name}": functools.partial(results, name) for name in RESULTS},
     **{Path(name).stem.lower(): functools.partial(repository_file, name) for name in REPOSITORY_FILES},
 }

@@ -1,6 +1,6 @@
 //! ascent: a macro compiles the rules to Rust; relations are hashed.
 
-use crate::case::{Case, Facts};
+use crate::case::{Facts, Kind};
 
 mod closure {
     ascent::ascent! {
@@ -84,22 +84,85 @@ mod city {
     }
 }
 
+mod reach {
+    ascent::ascent! {
+        pub struct Program;
+        relation edge(u32, u32);
+        relation reached(u32);
+        reached(y) <-- reached(x), edge(x, y);
+    }
+}
+
+mod triangles {
+    ascent::ascent! {
+        pub struct Program;
+        relation edge(u32, u32);
+        relation triangle(u32, u32, u32);
+        triangle(x, y, z) <-- edge(x, y), edge(y, z), edge(z, x);
+    }
+}
+
+mod cspa {
+    ascent::ascent! {
+        pub struct Program;
+        relation assign(u32, u32);
+        relation dereference(u32, u32);
+        relation value_flow(u32, u32);
+        relation memory_alias(u32, u32);
+        relation value_alias(u32, u32);
+        value_flow(y, x) <-- assign(y, x);
+        value_flow(x, x), value_flow(y, y), memory_alias(x, x), memory_alias(y, y) <-- assign(x, y);
+        value_flow(x, z) <-- memory_alias(y, z), assign(x, y);
+        value_flow(x, z) <-- value_flow(x, y), value_flow(y, z);
+        memory_alias(x, w) <-- value_alias(y, z), dereference(y, x), dereference(z, w);
+        value_alias(x, y) <-- value_flow(z, x), value_flow(z, y);
+        value_alias(x, y) <-- memory_alias(z, w), value_flow(z, x), value_flow(w, y);
+    }
+}
+
+mod csda {
+    ascent::ascent! {
+        pub struct Program;
+        relation edge(u32, u32);
+        relation null(u32, u32);
+        null(x, z) <-- null(x, y), edge(y, z);
+    }
+}
+
+mod el {
+    ascent::ascent! {
+        pub struct Program;
+        relation sub(u32, u32);
+        relation and(u32, u32, u32);
+        relation some(u32, u32, u32);
+        relation has(u32, u32, u32);
+        relation sub_role(u32, u32);
+        relation subsumed(u32, u32);
+        relation related(u32, u32, u32);
+        subsumed(x, d) <-- subsumed(x, c), sub(c, d);
+        subsumed(x, e) <-- subsumed(x, c), and(c, d, e), subsumed(x, d);
+        related(x, r, d) <-- subsumed(x, c), some(c, r, d);
+        related(x, s, y) <-- related(x, r, y), sub_role(r, s);
+        subsumed(x, d) <-- related(x, r, y), subsumed(y, c), has(r, c, d);
+    }
+}
+
 /// The number of rows of each derived relation.
-pub fn counts(case: Case, facts: &Facts) -> Vec<usize> {
-    match case {
-        Case::Random | Case::Chain => {
+pub fn counts(kind: Kind, facts: &Facts) -> Vec<usize> {
+    match kind {
+        Kind::Closure => {
             let mut program = closure::Program::default();
             program.edge = facts.binary("Edge").to_vec();
             program.run();
             vec![program.path.len()]
         }
-        Case::Generation => {
+        Kind::Generation => {
             let mut program = generation::Program::default();
             program.parent = facts.binary("Parent").to_vec();
             program.run();
             vec![program.same.len()]
         }
-        Case::Pointsto => {
+        Kind::Pointsto => {
             let mut program = pointsto::Program::default();
             program.address_of = facts.binary("AddressOf").to_vec();
             program.assign = facts.binary("Assign").to_vec();
@@ -108,7 +171,7 @@ pub fn counts(case: Case, facts: &Facts) -> Vec<usize> {
             program.run();
             vec![program.points_to.len()]
         }
-        Case::City => {
+        Kind::City => {
             let unary = |name: &str| facts.unary(name).iter().map(|&x| (x,)).collect::<Vec<_>>();
             let binary = |name: &str| facts.binary(name).to_vec();
             let mut program = city::Program::default();
@@ -137,6 +200,49 @@ pub fn counts(case: Case, facts: &Facts) -> Vec<usize> {
                 program.fast.len(),
                 program.normal.len(),
             ]
+        }
+        Kind::Reach => {
+            let mut program = reach::Program::default();
+            program.edge = facts.binary("Edge").to_vec();
+            program.reached = facts.unary("Start").iter().map(|&x| (x,)).collect();
+            program.run();
+            vec![program.reached.len()]
+        }
+        Kind::Triangles => {
+            let mut program = triangles::Program::default();
+            program.edge = facts.binary("Edge").to_vec();
+            program.run();
+            vec![program.triangle.len()]
+        }
+        Kind::Cspa => {
+            let mut program = cspa::Program::default();
+            program.assign = facts.binary("Assign").to_vec();
+            program.dereference = facts.binary("Dereference").to_vec();
+            program.run();
+            vec![
+                program.value_flow.len(),
+                program.memory_alias.len(),
+                program.value_alias.len(),
+            ]
+        }
+        Kind::Csda => {
+            let mut program = csda::Program::default();
+            program.edge = facts.binary("Edge").to_vec();
+            program.null = facts.binary("NullEdge").to_vec();
+            program.run();
+            vec![program.null.len()]
+        }
+        Kind::El => {
+            let triples = |name: &str| facts.ternary(name).iter().map(|&[x, y, z]| (x, y, z)).collect();
+            let mut program = el::Program::default();
+            program.sub = facts.binary("Sub").to_vec();
+            program.sub_role = facts.binary("SubRole").to_vec();
+            program.and = triples("And");
+            program.some = triples("Some");
+            program.has = triples("Has");
+            program.subsumed = facts.unary("Concept").iter().map(|&x| (x, x)).collect();
+            program.run();
+            vec![program.subsumed.len(), program.related.len()]
         }
     }
 }

@@ -2,7 +2,7 @@
 
 #![allow(dead_code, reason = "each binary uses its own part")]
 
-use crate::case::{Case, Changes, Facts};
+use crate::case::{Changes, Facts, Kind};
 use differential_dataflow::VecCollection;
 use differential_dataflow::input::{Input, InputSession};
 use differential_dataflow::operators::iterate::Iterate;
@@ -15,42 +15,6 @@ use timely::worker::Worker;
 type Pairs<'s> = VecCollection<'s, u32, (u32, u32)>;
 type Ones<'s> = VecCollection<'s, u32, u32>;
 
-/// The number of rows of each derived relation.
-pub fn counts(case: Case, facts: Facts) -> Vec<usize> {
-    timely::execute_directly(move |worker| {
-        let probe = Handle::new();
-        let counters: Vec<Rc<Cell<isize>>> = worker.dataflow::<u32, _, _>(|scope| {
-            let base = Base {
-                scope,
-                facts: &facts,
-                inputs: RefCell::default(),
-            };
-            let counted = |number: Rc<Cell<isize>>| move |change: isize| number.set(number.get() + change);
-            let counters: Vec<Rc<Cell<isize>>> = case.derived().iter().map(|_| Rc::default()).collect();
-            match case {
-                Case::City => {
-                    for (relation, counter) in city(&base).into_iter().zip(&counters) {
-                        let add = counted(counter.clone());
-                        relation.inspect(move |(_, _, change)| add(*change)).probe_with(&probe);
-                    }
-                }
-                _ => {
-                    let pairs = match case {
-                        Case::Generation => generation(base.pairs("Parent")),
-                        Case::Pointsto => points_to(&base),
-                        _ => closure(base.pairs("Edge")),
-                    };
-                    let add = counted(counters[0].clone());
-                    pairs.inspect(move |(_, _, change)| add(*change)).probe_with(&probe);
-                }
-            }
-            counters
-        });
-        worker.step_while(|| !probe.done());
-        counters.iter().map(|counter| counter.get() as usize).collect()
-    })
-}
-
 /// The base facts as collections.
 struct Base<'a, 's> {
     scope: Scope<'s, u32>,
@@ -62,42 +26,65 @@ struct Base<'a, 's> {
 /// Keyed by the name of the relation.
 type Edb = Vec<(String, InputSession<u32, (u32, u32), isize>)>;
 
-/// The city as a dataflow that waits for changes of its pairs.
-pub struct City {
+/// A program as a dataflow that waits for changes of its pairs.
+pub struct Dataflow {
     inputs: Edb,
     probe: Handle<u32>,
+    /// Of each derived relation, the number of its rows.
     counters: Vec<Rc<Cell<isize>>>,
     now: u32,
 }
 
-impl City {
-    /// Loads the facts.
-    pub fn new(worker: &mut Worker, facts: &Facts) -> Self {
+/// Whether [`Dataflow::new`] has the program.
+pub fn has(kind: Kind) -> bool {
+    !matches!(kind, Kind::Triangles | Kind::Cspa | Kind::El)
+}
+
+impl Dataflow {
+    /// Loads the facts. [`has`] says for which programs.
+    pub fn new(worker: &mut Worker, kind: Kind, facts: &Facts) -> Self {
         let probe = Handle::new();
-        let counters: Vec<Rc<Cell<isize>>> = Case::City.derived().iter().map(|_| Rc::default()).collect();
+        let counters: Vec<Rc<Cell<isize>>> = kind.derived().iter().map(|_| Rc::default()).collect();
         let inputs = worker.dataflow::<u32, _, _>(|scope| {
             let base = Base {
                 scope,
                 facts,
                 inputs: RefCell::default(),
             };
-            for (relation, counter) in city(&base).into_iter().zip(&counters) {
-                let counter = counter.clone();
-                let count = move |change: isize| counter.set(counter.get() + change);
-                relation
-                    .inspect(move |(_, _, change)| count(*change))
-                    .probe_with(&probe);
+            let counted = |at: usize| {
+                let counter = counters[at].clone();
+                move |change: isize| counter.set(counter.get() + change)
+            };
+            let count_pairs = |pairs: Pairs<'_>| {
+                let add = counted(0);
+                pairs.inspect(move |(_, _, change)| add(*change)).probe_with(&probe);
+            };
+            let count_ones = |at: usize, ones: Ones<'_>| {
+                let add = counted(at);
+                ones.inspect(move |(_, _, change)| add(*change)).probe_with(&probe);
+            };
+            match kind {
+                Kind::City => {
+                    let derived = city(&base).into_iter().enumerate();
+                    derived.for_each(|(at, ones)| count_ones(at, ones));
+                }
+                Kind::Reach => count_ones(0, reach(base.pairs("Edge"), base.ones("Start"))),
+                Kind::Closure => count_pairs(closure(base.pairs("Edge"))),
+                Kind::Generation => count_pairs(generation(base.pairs("Parent"))),
+                Kind::Pointsto => count_pairs(points_to(&base)),
+                Kind::Csda => count_pairs(flow(base.pairs("Edge"), base.pairs("NullEdge"))),
+                Kind::Triangles | Kind::Cspa | Kind::El => unreachable!("`has` is false"),
             }
             base.inputs.into_inner()
         });
-        let mut city = City {
+        let mut dataflow = Dataflow {
             inputs,
             probe,
             counters,
             now: 0,
         };
-        city.tick(worker, &Changes::new());
-        city
+        dataflow.tick(worker, &Changes::new());
+        dataflow
     }
 
     /// Applies changes: by relation, pairs and whether they are inserted or retracted.
@@ -137,11 +124,25 @@ impl<'s> Base<'_, 's> {
 }
 
 fn closure(edge: Pairs<'_>) -> Pairs<'_> {
-    edge.clone().iterate(|scope, path| {
-        let edge = edge.enter(scope);
+    flow(edge.clone(), edge)
+}
+
+/// The pairs of `from` and the paths that continue them.
+fn flow<'s>(edge: Pairs<'s>, from: Pairs<'s>) -> Pairs<'s> {
+    from.clone().iterate(|scope, path| {
         path.map(|(x, y)| (y, x))
-            .join_map(edge.clone(), |_, &x, &z| (x, z))
-            .concat(edge)
+            .join_map(edge.enter(scope), |_, &x, &z| (x, z))
+            .concat(from.enter(scope))
+            .distinct()
+    })
+}
+
+fn reach<'s>(edge: Pairs<'s>, start: Ones<'s>) -> Ones<'s> {
+    start.clone().iterate(|scope, reached| {
+        edge.enter(scope)
+            .semijoin(reached)
+            .map(|(_, y)| y)
+            .concat(start.enter(scope))
             .distinct()
     })
 }

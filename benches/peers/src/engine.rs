@@ -2,10 +2,10 @@
 
 #![allow(dead_code, reason = "each binary uses its own part")]
 
-use crate::case::Facts;
+use crate::case::{Changes, Facts};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
-use logicity::datalog::{BaseType, Program, Session, Value};
+use logicity::datalog::{BaseType, Delta, Program, Session, Value};
 use logicity::diag::{Sources, render};
 
 /// The number of rows of each of the predicates.
@@ -15,9 +15,34 @@ pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
     lengths(&session, derived)
 }
 
+/// Applies changes, and commits them.
+pub fn change(session: &mut Session, changes: &Changes) -> Delta {
+    for (name, pairs) in changes {
+        let predicate = session
+            .program()
+            .predicate(name)
+            .expect("the program has the predicate");
+        for &((x, y), present) in pairs {
+            let row = [Value(x), Value(y)];
+            let noted = if present {
+                session.insert(predicate, row)
+            } else {
+                session.retract(predicate, row)
+            };
+            noted.expect("a base predicate of two columns");
+        }
+    }
+    session.commit().expect("within the limit")
+}
+
 /// The current number of rows of each of the predicates.
 pub fn lengths(session: &Session, predicates: &[&str]) -> Vec<usize> {
-    let predicate = |name: &&str| session.program().predicate(name).expect("the program has the predicate");
+    let predicate = |name: &&str| {
+        session
+            .program()
+            .predicate(name)
+            .expect("the program has the predicate")
+    };
     predicates.iter().map(|name| session.len(predicate(name))).collect()
 }
 
@@ -52,6 +77,10 @@ pub fn load(text: &str, facts: &Facts) -> Session {
     }
     for (name, rows) in &facts.binary {
         let rows = rows.iter().map(|&(x, y)| [Value(x), Value(y)]);
+        session.insert_all(predicate(name), rows).expect("a base predicate");
+    }
+    for (name, rows) in &facts.ternary {
+        let rows = rows.iter().map(|row| row.map(Value));
         session.insert_all(predicate(name), rows).expect("a base predicate");
     }
     session

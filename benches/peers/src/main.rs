@@ -1,5 +1,5 @@
-//! Compares logicity with its peers on five programs: checks that they count the same, and measures CPU time and
-//! memory.
+//! Compares logicity with its peers on small programs or on the suite: checks that they count the same, and measures
+//! CPU time and memory.
 // Decision: docs/decisions/safety.md#d024
 
 #[cfg(feature = "others")]
@@ -32,10 +32,19 @@ struct Arguments {
     /// Only these peers, and the engine
     #[arg(long, value_delimiter = ',')]
     peers: Vec<Peer>,
-    /// Measured runs of each peer on each case, interleaved, of which the table has the median. A first run compares
-    /// counts
+    /// The cases of the suite, with absolute figures, and with changes for the engine and differential-dataflow; needs
+    /// 16 GiB of memory
+    #[arg(long)]
+    suite: bool,
+    /// Runs of each peer on each case, interleaved, of which the table has the median
     #[arg(long, default_value_t = 5)]
     repeats: usize,
+    /// CPU time of a run in seconds, after which it is killed
+    #[arg(long, value_name = "SECONDS", default_value_t = 600)]
+    time: u64,
+    /// Resident memory of a run in GiB, at which it is killed
+    #[arg(long, value_name = "GIB", default_value_t = 16)]
+    memory: u64,
     /// File for all figures
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -50,7 +59,13 @@ enum Command {
     },
     /// One run in this process, which other commands start
     #[command(hide = true)]
-    Once { peer: Peer, case: Case },
+    Once {
+        peer: Peer,
+        case: Case,
+        /// Measure changes too
+        #[arg(long)]
+        changing: bool,
+    },
 }
 
 fn main() -> ExitCode {
@@ -71,56 +86,93 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     match &arguments.command {
         Some(Command::Data { folder }) => {
-            for case in Case::ALL {
+            for case in arguments.cases() {
                 peer::write_case(case, &folder.join(case.to_string()))?;
             }
             Ok(())
         }
-        Some(Command::Once { peer, case }) => measure::once(*peer, *case),
+        Some(Command::Once { peer, case, changing }) => measure::once(*peer, *case, *changing),
         None => compare(arguments),
     }
 }
 
+impl Arguments {
+    fn cases(&self) -> Vec<Case> {
+        match (&self.cases[..], self.suite) {
+            ([], true) => Case::SUITE.to_vec(),
+            ([], false) => Case::SMALL.to_vec(),
+            (cases, _) => cases.to_vec(),
+        }
+    }
+}
+
 fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
-    let chosen = |case: &Case| arguments.cases.is_empty() || arguments.cases.contains(case);
-    let cases: Vec<Case> = Case::ALL.into_iter().filter(chosen).collect();
+    let cases = arguments.cases();
+    let limits = measure::Limits {
+        seconds: arguments.time,
+        memory_kib: arguments.memory << 20,
+    };
     let wanted = |peer: &Peer| arguments.peers.is_empty() || *peer == Peer::Engine || arguments.peers.contains(peer);
     let mut peers: Vec<Peer> = Peer::ALL.into_iter().filter(wanted).collect();
-    peers.retain(|peer| peer.is_compiled());
-    let souffle = peer::souffle_version();
-    if souffle.is_none() && peers.iter().any(|peer| peer.is_souffle()) {
-        eprintln!("souffle is not on the path; omitting it");
-        peers.retain(|peer| !peer.is_souffle());
+    peers.retain(|peer| peer.is_compiled() && cases.iter().any(|case| peer.has(case.kind())));
+    let mut versions: Vec<(&str, String)> = Vec::new();
+    for program in ["souffle", "datatoad"] {
+        if !peers.iter().any(|peer| peer.program() == Some(program)) {
+            continue;
+        }
+        match peer::version(program) {
+            Some(version) => versions.push((program, version)),
+            None => {
+                eprintln!("{program} is not on the path; omitting it");
+                peers.retain(|peer| peer.program() != Some(program));
+            }
+        }
     }
 
     let work = tempfile::tempdir()?;
-    let mut results = report::Results::default();
+    let mut results = report::Results::new(limits);
     for &case in &cases {
         let folder = work.path().join(case.to_string());
         peer::write_case(case, &folder)?;
-        if peers.contains(&Peer::SouffleCompiled) {
-            eprintln!("{case}: souffle compiles the program");
-            peer::compile(&folder)?;
+        let with: Vec<Peer> = peers.iter().copied().filter(|peer| peer.has(case.kind())).collect();
+        for peer in &with {
+            peer.compile(case, &folder)?;
         }
-        // An unmeasured pass first: all peers must count the same.
         let mut expected = None;
-        for &peer in &peers {
-            let run = measure::run(peer, case, &folder)?;
-            let first = expected.get_or_insert_with(|| run.counts.clone());
-            if *first != run.counts {
-                return Err(format!("{case}: {peer} counts {:?}, not {first:?}", run.counts).into());
+        for round in 0..arguments.repeats.max(1) {
+            for &peer in &with {
+                let outcome = measure::run(peer, case, &folder, limits, arguments.suite)?;
+                if let Ok(run) = &outcome {
+                    // All peers must count the same, also after each change.
+                    let (counts, changed) = expected.get_or_insert_with(|| (run.counts.clone(), Vec::new()));
+                    let found: Vec<_> = run.changes.iter().map(|(_, counts)| counts.clone()).collect();
+                    if changed.is_empty() {
+                        changed.clone_from(&found);
+                    }
+                    if *counts != run.counts || !found.is_empty() && *changed != found {
+                        let found = (&run.counts, &found);
+                        return Err(format!("{case}: {peer} counts {found:?}, not {expected:?}").into());
+                    }
+                }
+                if arguments.suite {
+                    let said = match &outcome {
+                        Ok(run) => format!("{:.2} s, {} MiB", run.cpu.as_secs_f64(), run.peak_kib >> 10),
+                        Err(limit) => format!("exceeds the limit of {limit:?}").to_lowercase(),
+                    };
+                    eprintln!("{case}, run {}: {}: {said}", round + 1, peer.to_string().trim_end());
+                }
+                results.add(peer, case, outcome);
             }
         }
-        eprintln!("{case}: {} peers count {:?}", peers.len(), expected.unwrap_or_default());
-        for _ in 0..arguments.repeats.max(1) {
-            for &peer in &peers {
-                results.add(peer, case, measure::run(peer, case, &folder)?);
-            }
-        }
+        let counts = expected.map(|(counts, _)| counts).unwrap_or_default();
+        eprintln!("{case}: {} peers count {counts:?}", with.len());
     }
-    print!("{}", results.table(&peers, &cases));
+    match arguments.suite {
+        true => print!("{}", results.suite(&peers, &cases)),
+        false => print!("{}", results.table(&peers, &cases)),
+    }
     if let Some(path) = &arguments.json {
-        std::fs::write(path, results.json(&peers, &cases, souffle.as_deref()))?;
+        std::fs::write(path, results.json(&peers, &cases, &versions))?;
     }
     Ok(())
 }

@@ -1,6 +1,8 @@
 //! The peers, and the commands of those that are separate programs.
 
-use crate::case::Case;
+use crate::case::{Case, Kind, name};
+use std::error::Error;
+use std::ffi::OsStr;
 use std::fmt::{self, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -24,6 +26,8 @@ pub enum Peer {
     Souffle,
     /// A program compiled by Soufflé, including startup and reading facts
     SouffleCompiled,
+    /// datatoad, including startup and reading rules and facts
+    Datatoad,
 }
 
 impl fmt::Display for Peer {
@@ -37,6 +41,7 @@ impl fmt::Display for Peer {
             Peer::Differential => "differential-dataflow",
             Peer::Souffle => "Soufflé interpreted *",
             Peer::SouffleCompiled => "Soufflé compiled *",
+            Peer::Datatoad => "datatoad *",
         })
     }
 }
@@ -46,7 +51,7 @@ pub const AS_LOGICITY: &str = "LOGICITY_PEERS_AS_LOGICITY";
 
 impl Peer {
     /// All peers, logicity first.
-    pub const ALL: [Peer; 8] = [
+    pub const ALL: [Peer; 9] = [
         Peer::Engine,
         Peer::Query,
         Peer::Ascent,
@@ -55,6 +60,7 @@ impl Peer {
         Peer::Differential,
         Peer::Souffle,
         Peer::SouffleCompiled,
+        Peer::Datatoad,
     ];
 
     /// Whether this program contains it or calls it.
@@ -62,56 +68,126 @@ impl Peer {
         cfg!(feature = "others") || !matches!(self, Peer::Ascent | Peer::Crepe | Peer::Differential)
     }
 
-    /// Whether it needs Soufflé.
-    pub fn is_souffle(self) -> bool {
-        matches!(self, Peer::Souffle | Peer::SouffleCompiled)
+    /// The program on the path that it needs.
+    pub fn program(self) -> Option<&'static str> {
+        match self {
+            Peer::Souffle | Peer::SouffleCompiled => Some("souffle"),
+            Peer::Datatoad => Some("datatoad"),
+            _ => None,
+        }
     }
 
     /// Whether the measurement covers the whole process.
     pub fn is_whole(self) -> bool {
-        self == Peer::Query || self.is_souffle()
+        self == Peer::Query || self.program().is_some()
     }
 
-    /// The command for one run; the folder is that of [`write_case`].
+    /// Whether it has the program. Peers that are libraries have some programs written for them.
+    pub fn has(self, kind: Kind) -> bool {
+        match self {
+            Peer::Crepe | Peer::Datafrog => {
+                matches!(kind, Kind::Closure | Kind::Generation | Kind::Pointsto | Kind::City)
+            }
+            #[cfg(feature = "others")]
+            Peer::Differential => crate::differential::has(kind),
+            // `for_datatoad` translates no negation.
+            Peer::Datatoad => kind != Kind::City,
+            _ => true,
+        }
+    }
+
+    /// Compiles or translates the program in the folder of [`write_case`].
+    pub fn compile(self, case: Case, folder: &Path) -> Result<(), Box<dyn Error>> {
+        let mut command = match self {
+            Peer::SouffleCompiled => {
+                let mut command = Command::new("souffle");
+                command.arg("-o").arg(folder.join("compiled"));
+                command.arg(folder.join("program.dl"));
+                command
+            }
+            Peer::Datatoad => {
+                std::fs::write(folder.join("program.dt"), for_datatoad(case, folder))?;
+                return Ok(());
+            }
+            _ => return Ok(()),
+        };
+        eprintln!("{case}: {self} compiles the program");
+        let output = command.stdin(Stdio::null()).output()?;
+        if output.status.success() {
+            Ok(())
+        } else {
+            let said = String::from_utf8_lossy(&output.stderr);
+            Err(format!("{case}: {self} could not compile the program: {said}").into())
+        }
+    }
+
+    /// The program and the arguments for one run; the folder is that of [`write_case`].
     pub fn command(self, case: Case, folder: &Path) -> std::io::Result<Command> {
         let ours = std::env::current_exe()?;
         let program = folder.join("program.dl");
+        let of = |program: &Path, arguments: &[&OsStr]| {
+            let mut command = Command::new(program);
+            command.args(arguments);
+            command
+        };
+        let facts: [&OsStr; 2] = ["-F".as_ref(), folder.as_ref()];
         let mut command = match self {
             Peer::Query => {
-                let mut command = Command::new(ours);
-                command
-                    .env(AS_LOGICITY, "1")
-                    .arg("query")
-                    .arg(program)
-                    .arg("-F")
-                    .arg(folder);
+                let mut command = of(&ours, &["query".as_ref(), program.as_ref()]);
+                command.env(AS_LOGICITY, "1").args(facts);
                 command
             }
-            Peer::Souffle => {
-                let mut command = Command::new("souffle");
-                command.arg(program).arg("-F").arg(folder);
-                command
-            }
-            Peer::SouffleCompiled => {
-                let mut command = Command::new(folder.join("compiled"));
-                command.arg("-F").arg(folder);
-                command
-            }
-            _ => {
-                let mut command = Command::new(ours);
-                command.arg("once").arg(name(self)).arg(name(case));
-                command
-            }
+            Peer::Souffle => of("souffle".as_ref(), &[program.as_ref(), facts[0], facts[1]]),
+            Peer::SouffleCompiled => of(&folder.join("compiled"), &facts),
+            Peer::Datatoad => of("datatoad".as_ref(), &[folder.join("program.dt").as_ref()]),
+            _ => of(&ours, &["once".as_ref(), name(self).as_ref(), name(case).as_ref()]),
         };
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         Ok(command)
     }
+
+    /// The number of rows of a predicate in what the whole process printed.
+    pub fn printed_count(self, text: &str, predicate: &str) -> Option<usize> {
+        let count = |line: &str| {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            match (self, &words[..]) {
+                // `.list` of datatoad.
+                (Peer::Datatoad, [count, found, "[forms:", ..]) if *found == predicate => count.parse().ok(),
+                (_, [found, count]) if *found == predicate => count.parse().ok(),
+                _ => None,
+            }
+        };
+        text.lines().find_map(count)
+    }
+}
+
+/// The lines of a program that are neither declarations nor comments.
+fn rules(program: &str) -> impl Iterator<Item = &str> {
+    program
+        .lines()
+        .filter(|line| !line.starts_with('.') && !line.starts_with("//"))
+}
+
+/// The rules with a command that reads each file of facts, and one that lists the relations.
+fn for_datatoad(case: Case, folder: &Path) -> String {
+    let facts = case.facts();
+    let arities = (facts.unary.iter().map(|(name, _)| (*name, 1)))
+        .chain(facts.binary.iter().map(|(name, _)| (*name, 2)))
+        .chain(facts.ternary.iter().map(|(name, _)| (*name, 3)));
+    let mut text = String::new();
+    for (name, arity) in arities {
+        let columns: Vec<String> = (0..arity).map(|at| format!(r"(?P<u32_{at}>\d+)")).collect();
+        let (pattern, file) = (columns.join(r"\t"), folder.join(format!("{name}.facts")));
+        writeln!(text, ".load {name} ^{pattern}$ {}", file.display()).expect("writing to a string cannot fail");
+    }
+    rules(case.kind().program()).for_each(|line| text.extend([line, "\n"]));
+    text + ".list\n.quit\n"
 }
 
 /// Writes the program and its facts, one file per predicate.
 pub fn write_case(case: Case, folder: &Path) -> std::io::Result<()> {
     std::fs::create_dir_all(folder)?;
-    std::fs::write(folder.join("program.dl"), case.program())?;
+    std::fs::write(folder.join("program.dl"), case.kind().program())?;
     let facts = case.facts();
     let write = |name: &str, text: String| std::fs::write(folder.join(format!("{name}.facts")), text);
     for (name, rows) in &facts.unary {
@@ -124,34 +200,25 @@ pub fn write_case(case: Case, folder: &Path) -> std::io::Result<()> {
         rows.iter().for_each(|(x, y)| _ = writeln!(text, "{x}\t{y}"));
         write(name, text)?;
     }
+    for (name, rows) in &facts.ternary {
+        let mut text = String::new();
+        rows.iter().for_each(|[x, y, z]| _ = writeln!(text, "{x}\t{y}\t{z}"));
+        write(name, text)?;
+    }
     Ok(())
 }
 
-/// The version of Soufflé, if it is installed.
-pub fn souffle_version() -> Option<String> {
-    let output = Command::new("souffle").arg("--version").output().ok()?;
+/// The version that a program on the path states, or `None` if there is no such program.
+pub fn version(program: &str) -> Option<String> {
+    // datatoad has no such option, and reads commands until the end of its input.
+    let output = Command::new(program)
+        .arg("--version")
+        .stdin(Stdio::null())
+        .output()
+        .ok()?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    let line = text.lines().find(|line| line.contains("ersion"));
+    let line = text
+        .lines()
+        .find(|line| line.to_lowercase().contains("version") || line.starts_with(program));
     Some(line.unwrap_or("unknown version").trim().to_owned())
-}
-
-/// Compiles the program in the folder with Soufflé.
-pub fn compile(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
-    let mut command = Command::new("souffle");
-    command
-        .arg("-o")
-        .arg(folder.join("compiled"))
-        .arg(folder.join("program.dl"));
-    let status = command.stdout(Stdio::null()).status()?;
-    if status.success() {
-        Ok(())
-    } else {
-        Err("souffle could not compile the program".into())
-    }
-}
-
-/// The name of a value on the command line.
-pub fn name(value: impl clap::ValueEnum) -> String {
-    let value = value.to_possible_value().expect("no value is left out");
-    value.get_name().to_owned()
 }

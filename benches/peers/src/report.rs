@@ -1,14 +1,16 @@
-//! Summarizes runs in one table of ratios.
+//! Summarizes runs in tables.
 
-use crate::case::Case;
-use crate::measure::Run;
-use crate::peer::{Peer, name};
+use crate::case::{Case, name};
+use crate::measure::{CHANGES, Limit, Limits, Outcome, Run};
+use crate::peer::Peer;
 use serde_json::json;
 use std::fmt::Write;
 
 /// All runs, in order.
-#[derive(Default)]
-pub struct Results(Vec<(Peer, Case, Run)>);
+pub struct Results {
+    runs: Vec<(Peer, Case, Outcome)>,
+    limits: Limits,
+}
 
 /// The medians of a peer on a case.
 #[derive(Clone, Copy)]
@@ -18,17 +20,40 @@ struct Median {
 }
 
 impl Results {
-    pub fn add(&mut self, peer: Peer, case: Case, run: Run) {
-        self.0.push((peer, case, run));
+    /// No runs, which are going to have these limits.
+    pub fn new(limits: Limits) -> Self {
+        let runs = Vec::new();
+        Results { runs, limits }
+    }
+
+    pub fn add(&mut self, peer: Peer, case: Case, run: Outcome) {
+        self.runs.push((peer, case, run));
+    }
+
+    fn outcomes(&self, peer: Peer, case: Case) -> impl Iterator<Item = &Outcome> + Clone {
+        let found = move |run: &&(Peer, Case, Outcome)| run.0 == peer && run.1 == case;
+        self.runs.iter().filter(found).map(|run| &run.2)
+    }
+
+    /// The runs within the limits.
+    fn runs(&self, peer: Peer, case: Case) -> impl Iterator<Item = &Run> + Clone {
+        self.outcomes(peer, case).filter_map(|run| run.as_ref().ok())
+    }
+
+    fn exceeded(&self, peer: Peer, case: Case) -> Option<Limit> {
+        self.outcomes(peer, case).find_map(|run| run.as_ref().err().copied())
+    }
+
+    /// Of the CPU times of a change, the median in seconds.
+    fn change(&self, peer: Peer, case: Case, at: usize) -> Option<f64> {
+        let times = self.runs(peer, case).filter_map(|run| Some(run.changes.get(at)?.0));
+        let mut times: Vec<f64> = times.map(|time| time.as_secs_f64()).collect();
+        times.sort_by(f64::total_cmp);
+        times.get(times.len() / 2).copied()
     }
 
     fn median(&self, peer: Peer, case: Case) -> Option<Median> {
-        let runs = || {
-            self.0
-                .iter()
-                .filter(|run| run.0 == peer && run.1 == case)
-                .map(|run| &run.2)
-        };
+        let runs = || self.runs(peer, case);
         let middle = |mut values: Vec<f64>| {
             values.sort_by(f64::total_cmp);
             values.get(values.len() / 2).copied()
@@ -43,8 +68,8 @@ impl Results {
     pub fn table(&self, peers: &[Peer], cases: &[Case]) -> String {
         let mut out = String::new();
         let mut line = |first: String, cells: &mut dyn Iterator<Item = String>| {
-            write!(out, "| {first:<21} |").expect("writing to a string cannot fail");
-            cells.for_each(|cell| write!(out, " {cell:>16} |").expect("writing to a string cannot fail"));
+            write!(out, "| {first:<21} |").expect(STRING);
+            cells.for_each(|cell| write!(out, " {cell:>16} |").expect(STRING));
             out.push('\n');
         };
         line(
@@ -75,22 +100,85 @@ impl Results {
         out
     }
 
+    /// Two tables with a row for each case: rows, seconds of CPU time and peak memory of each peer; and the seconds of a
+    /// change.
+    pub fn suite(&self, peers: &[Peer], cases: &[Case]) -> String {
+        let mut out = String::new();
+        let mut line = |cells: Vec<String>| writeln!(out, "| {} |", cells.join(" | ")).expect(STRING);
+        let names: Vec<String> = peers.iter().map(|peer| format!("{peer}")).collect();
+        line([&["program".into(), "rows".into()], &names[..]].concat());
+        line([&["---".into(), "---:".into()], &vec!["---:".into(); peers.len()][..]].concat());
+        for &case in cases {
+            let rows = peers.iter().find_map(|&peer| self.runs(peer, case).next());
+            let rows = rows.map_or(String::new(), |run| thousands(run.counts.iter().sum()));
+            let mut cells = vec![case.title().to_owned(), rows];
+            cells.extend(peers.iter().map(|&peer| self.cell(peer, case)));
+            line(cells);
+        }
+        let updating: Vec<Peer> = peers
+            .iter()
+            .copied()
+            .filter(|&peer| cases.iter().any(|&case| self.change(peer, case, 0).is_some()))
+            .collect();
+        if updating.is_empty() {
+            return out;
+        }
+        out.push('\n');
+        let mut line = |cells: Vec<String>| writeln!(out, "| {} |", cells.join(" | ")).expect(STRING);
+        let mut head = vec!["change of a base predicate".to_owned()];
+        for peer in &updating {
+            head.extend(CHANGES.map(|share| format!("{peer}, {} %", share * 100.0)));
+        }
+        line(head.clone());
+        line([&["---".into()], &vec!["---:".into(); head.len() - 1][..]].concat());
+        for &case in cases {
+            let mut cells = vec![case.title().to_owned()];
+            for &peer in &updating {
+                let time = |at| self.change(peer, case, at).map_or("-".into(), seconds);
+                cells.extend((0..CHANGES.len()).map(time));
+            }
+            line(cells);
+        }
+        out
+    }
+
+    fn cell(&self, peer: Peer, case: Case) -> String {
+        if let Some(limit) = self.exceeded(peer, case) {
+            return match limit {
+                Limit::Time => format!("> {} s", self.limits.seconds),
+                Limit::Memory => format!("> {} GiB", self.limits.memory_kib >> 20),
+            };
+        }
+        let median = self.median(peer, case);
+        median.map_or("-".into(), |found| {
+            format!("{}, {:.0} MiB", seconds(found.cpu_ms / 1e3), found.peak_mib)
+        })
+    }
+
     /// Every median and every run.
-    pub fn json(&self, peers: &[Peer], cases: &[Case], souffle: Option<&str>) -> String {
+    pub fn json(&self, peers: &[Peer], cases: &[Case], versions: &[(&str, String)]) -> String {
         let mut list = Vec::new();
         for &case in cases {
             for &peer in peers {
+                if let Some(limit) = self.exceeded(peer, case) {
+                    let exceeded = match limit {
+                        Limit::Time => format!("{} s", self.limits.seconds),
+                        Limit::Memory => format!("{} GiB", self.limits.memory_kib >> 20),
+                    };
+                    list.push(
+                        json!({ "case": name(case), "title": case.title(), "peer": name(peer), "exceeded": exceeded }),
+                    );
+                    continue;
+                }
                 let (Some(own), Some(found)) = (self.median(Peer::Engine, case), self.median(peer, case)) else {
                     continue;
                 };
-                let runs = self
-                    .0
-                    .iter()
-                    .filter(|run| run.0 == peer && run.1 == case)
-                    .map(|run| &run.2);
+                let runs = self.runs(peer, case);
                 let counts = runs.clone().next().map(|run| run.counts.clone());
+                let change_ms = (0..CHANGES.len()).map_while(|at| Some(self.change(peer, case, at)? * 1e3));
                 list.push(json!({
                     "case": name(case),
+                    "title": case.title(),
                     "peer": name(peer),
                     "whole_process": peer.is_whole(),
                     "counts": counts,
@@ -100,10 +188,37 @@ impl Results {
                     "peak_ratio": found.peak_mib / own.peak_mib,
                     "runs_cpu_ms": runs.clone().map(|run| run.cpu.as_secs_f64() * 1e3).collect::<Vec<_>>(),
                     "runs_peak_mib": runs.map(|run| run.peak_kib as f64 / 1024.0).collect::<Vec<_>>(),
+                    "change_ms": change_ms.collect::<Vec<_>>(),
                 }));
             }
         }
-        let all = json!({ "souffle": souffle, "medians": list });
+        let versions: serde_json::Map<_, _> = versions
+            .iter()
+            .map(|(name, version)| ((*name).to_owned(), json!(version)))
+            .collect();
+        let all = json!({ "versions": versions, "changes": CHANGES, "medians": list });
         format!("{all:#}\n")
     }
+}
+
+const STRING: &str = "writing to a string cannot fail";
+
+/// Seconds with three digits.
+fn seconds(time: f64) -> String {
+    match time {
+        100.0.. => format!("{time:.0} s"),
+        10.0.. => format!("{time:.1} s"),
+        1.0.. => format!("{time:.2} s"),
+        _ => format!("{:.3} s", time),
+    }
+}
+
+/// A number with commas.
+fn thousands(number: usize) -> String {
+    let digits = number.to_string();
+    let groups = digits.as_bytes().rchunks(3).rev();
+    let groups: Vec<&str> = groups
+        .map(|group| std::str::from_utf8(group).unwrap_or_default())
+        .collect();
+    groups.join(",")
 }

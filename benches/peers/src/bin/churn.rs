@@ -15,10 +15,9 @@ mod differential;
 #[path = "../engine.rs"]
 mod engine;
 
-use case::{Case, Changes, Facts, Pair};
+use case::{Changes, Facts, Kind, Pair};
 use clap::Parser;
 use cpu_time::ThreadTime;
-use logicity::datalog::Value;
 use logicity::datalog::{Strategy, StratumStats};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -129,32 +128,18 @@ impl City {
 
 fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: bool) {
     let mut city = City::new(agents);
-    let mut session = engine::load(Case::City.program(), &city.facts);
+    let mut session = engine::load(Kind::City.program(), &city.facts);
     session.set_strategy(strategy);
     session.commit().expect("within the limit");
-    let predicates: Vec<_> = (city.facts.binary.iter())
-        .map(|(name, _)| session.program().predicate(name).expect("the program has the predicate"))
-        .collect();
     let (times, strata) = timely::execute_directly(move |worker| {
-        let mut dataflow = peers.then(|| differential::City::new(worker, &city.facts));
+        let mut dataflow = peers.then(|| differential::Dataflow::new(worker, Kind::City, &city.facts));
         let mut times: [Vec<Duration>; 3] = Default::default();
         let mut strata = String::new();
         // Warm up.
         for tick in 0..ticks + 10 {
             let changes = city.change(percent);
             let start = ThreadTime::now();
-            for ((_, pairs), &predicate) in changes.iter().zip(&predicates) {
-                for &((x, y), present) in pairs {
-                    let row = [Value(x), Value(y)];
-                    let noted = if present {
-                        session.insert(predicate, &row)
-                    } else {
-                        session.retract(predicate, &row)
-                    };
-                    noted.expect("a base predicate of two columns");
-                }
-            }
-            let delta = session.commit().expect("within the limit");
+            let delta = engine::change(&mut session, &changes);
             let mut took = [start.elapsed(), Duration::ZERO, Duration::ZERO];
             drop(delta);
             strata = (session.work().strata.iter())
@@ -166,13 +151,13 @@ fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: b
                 })
                 .collect();
             if let Some(dataflow) = &mut dataflow {
-                let counts = engine::lengths(&session, Case::City.derived());
+                let counts = engine::lengths(&session, Kind::City.derived());
                 let start = ThreadTime::now();
                 dataflow.tick(worker, &changes);
                 took[1] = start.elapsed();
                 assert_eq!(dataflow.counts(), counts, "differential-dataflow");
                 let start = ThreadTime::now();
-                let recomputed = datafrog::counts(Case::City, &city.facts);
+                let recomputed = datafrog::counts(Kind::City, &city.facts).expect("it has the program");
                 took[2] = start.elapsed();
                 assert_eq!(recomputed, counts, "datafrog");
             }
