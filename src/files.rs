@@ -9,12 +9,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 #[cfg(feature = "parquet")]
 mod folder;
+#[cfg(feature = "parquet")]
+mod footer;
 mod journal;
 mod output;
 mod record;
 
 #[cfg(feature = "parquet")]
 pub use folder::{FileError, Folder, make_folder};
+#[cfg(feature = "parquet")]
+pub use footer::check_flat;
 pub use journal::Journal;
 pub use logicity_datalog::files::{BUILTIN_FOLDER, ReadError, ReadFile, builtin_path, normalize, slash_help, to_text};
 pub use output::{Output, Overwrite, end, remove_own, without_temporaries};

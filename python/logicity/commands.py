@@ -821,13 +821,14 @@ def _evaluate(given: argparse.Namespace) -> int:
 def _policies(given: argparse.Namespace) -> int:
     _check_json(given, "policies")
     rows: list[tuple[str, ...]] = [("policy", "mode", "learner", "extra", "measured on", "TSR", "DSR", "Score")]
-    for policy in shipped_policies().values():
+    policies = shipped_policies().values()
+    for policy in policies:
         for evaluation, measures in policy.measures.items():
             values = (f"{measures[name]:.2f}" if name in measures else "-" for name in ("tsr", "dsr", "score"))
             rows.append((policy.name, policy.mode, policy.learner, policy.extra or "-", evaluation, *values))
     print_text(aligned(rows))
     print_text(f"\nfiles and model cards: {SHIPPED}")
-    listed = [{**asdict(policy), "path": str(policy.path)} for policy in shipped_policies().values()]
+    listed = [{**asdict(policy), "path": str(policy.path)} for policy in policies]
     _write_json(given, "policies", listed)
     return 0
 

@@ -1,6 +1,6 @@
 """Folders of packed policies, which `logicity release` writes, and the policies that the package contains.
 
-`shipped_policies` lists the latter. Their folder is such a folder, too.
+`shipped_policies` lists the policies of the package, whose folder has the form that `logicity release` writes.
 """
 
 from __future__ import annotations

@@ -422,8 +422,9 @@ class Session:
         """Write the session to a file, from which `load` continues.
 
         The file holds all facts and derived facts, the pending changes, the seed, and what temporal operators read of
-        earlier ticks. It appears when it is complete. Its checksum finds accidental changes; it is no signature, so
-        load files only from sources that you trust to tell the truth.
+        earlier ticks. It appears when it is complete. Its checksum finds accidental changes only: a
+        program that writes such files can store rows that the rules do not derive, so load files only from sources
+        that you trust.
 
         Args:
             path: The file.
@@ -466,8 +467,8 @@ class Session:
                 - a mapping from the names of all columns to arrays of shape (n,);
                 - a data frame or anything else that exports Arrow data: frames of pandas and Polars, tables and record
                   batches of pyarrow, relations of DuckDB, `Rows` of another session. If its columns have exactly the
-                  names of the predicate's, they match by name, otherwise by position. The index of a pandas frame is
-                  not a column. Nulls are errors.
+                  names of the predicate's, they match by name, otherwise by position; a name of the predicate's at
+                  another position is then an error. The index of a pandas frame is not a column. Nulls are errors.
 
                 In arrays, symbols have the dtype `U`, `StringDType`, or `object` with str, and records `object`.
                 Numbers and unsigned numbers have any integer dtype. Floats have any float or integer dtype. The same

@@ -67,7 +67,8 @@ pub fn rows(predicate: &Predicate, given: &Bound<'_, PyAny>, target: &Target<'_>
         DataType::Struct(fields) => fields.clone(),
         _ => Fields::from(vec![Arc::clone(&field)]),
     };
-    let positions = positions(predicate, &fields)?;
+    let names: Vec<&str> = fields.iter().map(|field| field.name().as_str()).collect();
+    let positions = predicate.positions_in(&names).map_err(PyValueError::new_err)?;
     for (column, &at) in predicate.columns.iter().zip(&positions) {
         let found = fields[at].data_type();
         if !fits(column.base, found) {
@@ -85,6 +86,8 @@ pub fn rows(predicate: &Predicate, given: &Bound<'_, PyAny>, target: &Target<'_>
         let count = batch.len().saturating_mul(arity);
         (target.room)(words.capacity().max(first.saturating_add(count)))?;
         words.resize(first + count, Value(0));
+        no_nulls(&batch)
+            .map_err(|(row, _)| PyTypeError::new_err(format!("row {}: expected a row, not null", rows + row)))?;
         for (place, (&at, column)) in positions.iter().zip(&predicate.columns).enumerate() {
             py.check_signals()?;
             let array = match batch.data_type() {
@@ -92,7 +95,7 @@ pub fn rows(predicate: &Predicate, given: &Bound<'_, PyAny>, target: &Target<'_>
                 _ => &batch,
             };
             let into = words[first..].iter_mut().skip(place).step_by(arity);
-            let filled = no_nulls(&batch).and_then(|()| fill(py, array, column, target, into));
+            let filled = fill(py, array, column, target, into);
             filled.map_err(|(row, fault)| {
                 let expects = format!("row {}: {}", rows + row, expects(predicate, column));
                 match fault {
@@ -108,33 +111,12 @@ pub fn rows(predicate: &Predicate, given: &Bound<'_, PyAny>, target: &Target<'_>
     Ok(Words { rows, words })
 }
 
-/// Returns the position of each column of a predicate among the fields: by name if the names are the same, else in
-/// order.
-fn positions(predicate: &Predicate, fields: &Fields) -> PyResult<Vec<usize>> {
-    let arity = predicate.arity();
-    if fields.len() != arity {
-        let wanted: Vec<&str> = predicate.columns.iter().map(|column| column.name.as_str()).collect();
-        let found: Vec<&str> = fields.iter().map(|field| field.name().as_str()).collect();
-        let message = format!(
-            "expected the {arity} columns [{}] of `{}`, not the {} columns [{}]",
-            wanted.join(", "),
-            predicate.name,
-            found.len(),
-            found.join(", ")
-        );
-        return Err(PyValueError::new_err(message));
-    }
-    let named = predicate
-        .columns
-        .iter()
-        .map(|column| fields.find(&column.name).map(|(at, _)| at));
-    Ok(named.collect::<Option<_>>().unwrap_or_else(|| (0..arity).collect()))
-}
-
 /// Returns whether a column takes values of an Arrow type.
 fn fits(base: BaseType, found: &DataType) -> bool {
     match found {
         DataType::Dictionary(_, value) => fits(base, value),
+        // The type of a column without values.
+        DataType::Null => true,
         DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View => {
             matches!(base, BaseType::Symbol | BaseType::Record)
         }
@@ -164,6 +146,9 @@ fn fill<'a>(
     into: impl Iterator<Item = &'a mut Value>,
 ) -> Result<(), (usize, Fault)> {
     no_nulls(array)?;
+    if array.is_empty() {
+        return Ok(());
+    }
     macro_rules! numbers {
         ($ty:ty) => {
             match column.base {

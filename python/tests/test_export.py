@@ -170,3 +170,22 @@ def test_errors_have_places() -> None:
         program.to_sql()
     (fault,) = raised.value.diagnostics
     assert fault["code"] == "unsupported" and "reads `p` twice" in fault["message"]
+
+
+def test_duplicates_and_nulls_of_input_tables_do_not_count() -> None:
+    program = Program(
+        ".decl e(x: number, y: number) .input e .decl n(c: number) n(c) :- c = count : { e(_, _) }."
+        " .decl r(x: number) r(x) :- e(x, _)."
+    )
+    database = duckdb.connect()
+    database.execute("create table e(x integer, y integer); insert into e values (1, 2), (1, 2), (null, 3)")
+    database.execute(program.to_sql())
+    assert (database.sql("from n").fetchall(), database.sql("from r").fetchall()) == ([(1,)], [(1,)])
+
+
+def test_floats_that_are_no_numbers_have_no_order() -> None:
+    program = Program(".decl e(x: float, y: float) .input e .decl r(x: float) r(x) :- e(x, y), x < y.")
+    database = duckdb.connect()
+    database.execute("create table e(x float, y float); insert into e values (1, 'nan'), (2, 3), ('nan', 1)")
+    database.execute(program.to_sql())
+    assert database.sql("from r").fetchall() == [(2.0,)]

@@ -230,13 +230,18 @@ def test_faults_name_predicate_column_and_row() -> None:
     refused("c1", pa.array([1, 2, 3]), TypeError, "the Arrow type Int64")
     refused("c1", pa.array([b"a", b"b", b"c"]), TypeError, "the Arrow type Binary")
     refused("c2", pa.array([0.5, 1e300, 2.5]), ValueError, "row 1: column `c2` of `r` holds floats .*; 1e300 is out of")
-    refused("c2", pa.nulls(3), TypeError, "the Arrow type Null")
+    refused("c2", pa.nulls(3), TypeError, "row 0: column `c2` of `r` holds floats .*, not null$")
     # The row counts from the first batch on.
     table = pa.table({**good, "c0": pa.chunked_array([[1], [2, 2**40]])})
     with pytest.raises(ValueError, match="row 2: .*; 1099511627776 is out of range"):
         held.insert("r", table)
-    with pytest.raises(ValueError, match=r"the 3 columns \[c0, c1, c2\] of `r`, not the 2 columns \[c0, c1\]$"):
+    with pytest.raises(ValueError, match=r"the columns \[c0, c1, c2\] of `r`, not \[c0, c1\]$"):
         held.insert("r", pa.table(good).select(["c0", "c1"]))
+    with pytest.raises(ValueError, match=r"the columns \[c0, c1, c2\] of `r`, not \[c1, c0, other\]$"):
+        held.insert("r", pa.table([good["c1"], good["c0"], good["c2"]], names=["c1", "c0", "other"]))
+    # Columns without values have types of no use.
+    empty = pa.array([], pa.string()).dictionary_encode()
+    assert held.insert("r", pa.table({"c0": pa.nulls(0), "c1": empty, "c2": pa.nulls(0)})) == 0
     # A value that no row has is no fault.
     unused = pa.DictionaryArray.from_arrays(pa.array([0, 0, 0]), pa.array([1, 2**40, None]))
     assert held.insert("r", pa.table({**good, "c0": unused})) == 3

@@ -39,7 +39,7 @@ def test_shipped_policies_are_those_of_published_rows(name: str) -> None:
     if policy.path.suffix == ".dl":
         assert policy.extra is None and hashlib.sha256(policy.path.read_bytes()).hexdigest() == policy.sha256
     else:
-        # Another processor makes another network.
+        # Without the two variables of `make policies`, the network depends on the processor.
         assert policy.extra == "learn" and "processor" in rows[0]["versions"]
         needs("torch", "learn")
         from logicity.learn import load_policy
@@ -59,7 +59,7 @@ def test_checksums_of_shipped_policies_hold() -> None:
 
 @pytest.mark.parametrize("name", [name for name in NAMES if "-induce-" in name])
 def test_training_gives_the_shipped_rules(name: str, tmp_path: Path) -> None:
-    """The policies of networks depend on the processor. `make policies` makes all."""
+    """`make policies` also trains the networks, which take longer."""
     needs("stable_baselines3", "learn")
     from logicity.learn import TrainConfig, learner_class
 

@@ -167,8 +167,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     // A question may be about any predicate.
     let needed = match question {
-        None => needed(session.program().rules()),
-        Some(_) => every_predicate(session.program()),
+        None if !arguments.plan && !arguments.profile => needed(session.program().rules()),
+        _ => every_predicate(session.program()),
     };
     // The first one is checked when it is read, before any tick.
     for folder in &folders[1..] {
@@ -452,16 +452,21 @@ fn retract_inputs(session: &mut Session) {
 }
 
 /// Returns, by predicate, whether results or constraints depend on its rows. What operators read of earlier ticks counts
-/// as needed.
+/// as needed, and everything does in a program without results.
 fn needed(rules: &Rules) -> Vec<bool> {
     let results = (0..).map(PredicateId).zip(&rules.predicates);
-    let results = results.filter(|(_, predicate)| predicate.output || predicate.printsize);
+    let results: Vec<_> = results
+        .filter(|(_, predicate)| predicate.output || predicate.printsize)
+        .collect();
+    if results.is_empty() {
+        return vec![true; rules.predicates.len()];
+    }
     let constraints = rules.constraints.iter().flat_map(|declared| {
         let domain = declared.domain.iter().map(|(predicate, _)| *predicate);
         declared.constraint.predicates().chain(domain)
     });
     let earlier = rules.pasts.iter().flat_map(Past::operands);
-    rules.dependencies(results.map(|(id, _)| id).chain(constraints).chain(earlier))
+    rules.dependencies(results.into_iter().map(|(id, _)| id).chain(constraints).chain(earlier))
 }
 
 /// Returns what marks every predicate as needed.

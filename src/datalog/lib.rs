@@ -192,7 +192,7 @@ pub mod internal {
     pub use crate::convert::{record_of_text, record_word};
     pub use crate::eval::limits::size;
     pub use crate::spans::Spans;
-    pub use crate::value::{NIL, record_fields, record_source, whole_record};
+    pub use crate::value::{NIL, record_fields, record_source, shortened, whole_record};
 
     pub mod threads {
         pub use crate::threads::{Pool, start};

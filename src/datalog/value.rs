@@ -5,6 +5,7 @@
 //!
 //! Words have 32 bits: `number` and `unsigned` wrap around on overflow, `float` has single precision.
 
+use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::collections::HashMap;
 
@@ -261,8 +262,16 @@ pub(crate) fn compare(base: BaseType, a: Value, b: Value, symbols: &Symbols) -> 
     }
 }
 
-/// The maximum length of a record in a message, in bytes.
+/// The maximum length of a record or another text of a file in a message, in bytes.
 pub(crate) const MESSAGE: usize = 1000;
+
+/// Returns a text as messages show it: at most 1000 bytes, and `...` for the rest.
+pub fn shortened(text: &str) -> Cow<'_, str> {
+    match text.len() > MESSAGE {
+        true => format!("{}...", &text[..text.floor_char_boundary(MESSAGE)]).into(),
+        false => text.into(),
+    }
+}
 
 /// The maximum length of a record in a file, in bytes.
 pub(crate) const WHOLE: usize = 1 << 24;

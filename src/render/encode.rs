@@ -16,7 +16,7 @@ pub fn write_png(picture: &Picture, out: impl Write) -> io::Result<()> {
     write(pixels, (width, height), png::ColorType::Rgb, (png::Filter::Up, 2), out)
 }
 
-/// Writes a mask, such as that of [`Renderer::mask`](crate::render::Renderer::mask), as a grayscale PNG.
+/// Writes a mask, such as that of [`Placement::mask`](crate::render::Placement::mask), as a grayscale PNG.
 ///
 /// # Errors
 /// Errors of the output.

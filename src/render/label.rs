@@ -26,11 +26,6 @@ pub(super) fn overlap(a: PixelBox, b: PixelBox) -> i32 {
     common(a.x, a.width, b.x, b.width) * common(a.y, a.height, b.y, b.height)
 }
 
-/// Returns whether `outer` contains `inner`.
-pub(super) fn contains(outer: PixelBox, inner: PixelBox) -> bool {
-    overlap(outer, inner).cast_unsigned() == inner.width * inner.height
-}
-
 /// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, `Cyc3` for `Cyclist_3` of a configured kind, else the shortened
 /// name.
 fn short(sprite: &Sprite<'_>, longest: usize) -> String {
@@ -75,7 +70,7 @@ pub(super) fn place(sprites: &[(Sprite<'_>, PixelBox)], bounds: PixelBox, longes
         // Characters are 6 x 10 pixels; the plate adds a margin.
         let (width, height) = (6 * text.chars().count() as i32 + 3, 11);
         let free = candidates(*figure, sprite.facing, width, height)
-            .filter(|&area| contains(bounds, area) && placed.iter().all(|(_, other)| overlap(area, *other) == 0));
+            .filter(|&area| bounds.contains(area) && placed.iter().all(|(_, other)| overlap(area, *other) == 0));
         let covered = |area: PixelBox| sprites.iter().map(|(_, figure)| overlap(area, *figure)).sum::<i32>();
         let mut best: Option<(i32, PixelBox)> = None;
         for area in free {

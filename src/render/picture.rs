@@ -33,6 +33,15 @@ impl PixelBox {
         along(self.x, self.width, other.x, other.width) && along(self.y, self.height, other.y, other.height)
     }
 
+    /// Returns whether all pixels of another rectangle are in this one.
+    pub fn contains(self, other: PixelBox) -> bool {
+        let along = |from: i32, length: u32, other_from: i32, other_length: u32| {
+            let end = |from: i32, length: u32| i64::from(from) + i64::from(length);
+            from <= other_from && end(other_from, other_length) <= end(from, length)
+        };
+        along(self.x, self.width, other.x, other.width) && along(self.y, self.height, other.y, other.height)
+    }
+
     /// Returns the part inside a picture of this size; `None` if there is none.
     pub fn clipped(self, width: u32, height: u32) -> Option<PixelBox> {
         let along = |from: i32, length: u32, end: u32| {

@@ -378,14 +378,6 @@ impl Renderer {
         self.placement.visible(agents)
     }
 
-    /// Returns which agent each pixel shows, as [`Placement::mask`].
-    ///
-    /// # Panics
-    /// If there are more than 255 agents.
-    pub fn mask(&self, agents: &[Sprite<'_>]) -> Vec<u8> {
-        self.placement.mask(agents)
-    }
-
     pub(super) fn pixel_box(&self, agent: &Sprite<'_>) -> Option<PixelBox> {
         self.placement.pixel_box(agent)
     }
@@ -515,10 +507,9 @@ mod tests {
         picture.into_pixels()
     }
 
-    /// Reference implementation of [`Placement::visible`]: paints the number of each agent over its body, pixel by
-    /// pixel, and counts what is left in the end. The bodies are those of complete drawings.
-    /// Returns how many pixels of each agent the picture shows, how many it has in the picture, and the agent of each
-    /// pixel.
+    /// Reference implementation of [`Placement::visible`] and [`Placement::mask`]: paints the number of each agent over
+    /// its body, pixel by pixel, as complete drawings have it. Returns how many pixels of each agent the picture shows,
+    /// how many it has in the picture, and the agent of each pixel.
     fn slowly_visible(
         icons: &Icons,
         view: &Viewport,
@@ -570,7 +561,7 @@ mod tests {
         for at in 0..agents.len() {
             let mut others = agents.to_vec();
             others.remove(at);
-            let (rest, picture) = (renderer.mask(&others), renderer.draw(&others));
+            let (rest, picture) = (renderer.placement.mask(&others), renderer.draw(&others));
             let number = at as u8 + 1;
             let mut own = 0;
             for (place, (&now, &then)) in mask.iter().zip(&rest).enumerate() {
@@ -645,7 +636,7 @@ mod tests {
                     assert_eq!(found, expected.flatten(), "case {case}");
                 }
                 let (counts, owners) = slowly_visible(&icons(), &view, &map, &agents);
-                let mask = renderer.mask(&agents);
+                let mask = renderer.placement.mask(&agents);
                 let owners = owners.into_iter().map(|owner| owner.map_or(0, |at| at as u8 + 1));
                 assert!(owners.eq(mask.iter().copied()), "case {case}");
                 without_each(&renderer, &agents, &mask);

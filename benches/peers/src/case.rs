@@ -199,8 +199,7 @@ impl Case {
         facts
     }
 
-    /// A replacement of a share of the rows of the first binary predicate, at least of one row: rows that are there and
-    /// go, and as many that come. A new row has the first number of a row and the second of another one.
+    /// Retracts a share of the rows of the first binary predicate, at least one, and inserts as many new ones. A new row has the first number of a row and the second of another one.
     pub fn changes(self, facts: &Facts, share: f64) -> Changes {
         let (name, rows) = facts.binary.first().expect("every case has pairs");
         let known: HashSet<Pair> = rows.iter().copied().collect();

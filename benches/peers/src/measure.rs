@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_beyond_a_limit_end() {
+    fn limits_are_noticed() {
         let limit_of_loop = |limits: Limits| {
             let mut child = Command::new("sh")
                 .args(["-c", "while :; do :; done"])

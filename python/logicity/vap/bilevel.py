@@ -77,11 +77,10 @@ def fitted(inner: Objective, weights: Mapping[str, Tensor], steps: int, rate: fl
     """
     found = {name: each.detach().requires_grad_() for name, each in weights.items()}
     for _ in range(steps):
-        slopes = torch.autograd.grad(inner(found), list(found.values()), create_graph=differentiable, allow_unused=True)
-        found = {
-            name: each if slope is None else each - rate * slope
-            for (name, each), slope in zip(found.items(), slopes, strict=True)
-        }
+        slopes = torch.autograd.grad(
+            inner(found), list(found.values()), create_graph=differentiable, materialize_grads=True
+        )
+        found = {name: each - rate * slope for (name, each), slope in zip(found.items(), slopes, strict=True)}
         if not differentiable:
             found = {name: each.detach().requires_grad_() for name, each in found.items()}
     return found
@@ -105,7 +104,7 @@ def unrolled(
     """
     found = fitted(inner, weights, settings.inner_steps, settings.inner_rate, differentiable=True)
     value = outer(found)
-    gradients = tuple(_known(torch.autograd.grad(value, list(upper), allow_unused=True), upper))
+    gradients = torch.autograd.grad(value, list(upper), materialize_grads=True)
     return Hypergradient(value.detach(), gradients, {name: each.detach() for name, each in found.items()})
 
 
@@ -124,18 +123,18 @@ def implicit(
     found = fitted(inner, weights, settings.inner_steps, settings.inner_rate, differentiable=False)
     own = list(found.values())
     value = outer(found)
-    slopes = torch.autograd.grad(value, [*own, *upper], allow_unused=True)
-    of_weights, direct = _known(slopes[: len(own)], own), _known(slopes[len(own) :], upper)
+    slopes = torch.autograd.grad(value, [*own, *upper], materialize_grads=True)
+    of_weights, direct = slopes[: len(own)], slopes[len(own) :]
     # The graph of the gradient of g gives products with its Hessian and with its mixed derivatives.
     flow = torch.autograd.grad(inner(found), own, create_graph=True, materialize_grads=True)
 
-    def products(by: Sequence[Tensor], vector: Sequence[Tensor]) -> list[Tensor]:
+    def products(by: Sequence[Tensor], vector: Sequence[Tensor]) -> Sequence[Tensor]:
         """Return the derivative of the product of the gradient with a vector."""
         # A weight on which g does not depend has a gradient without a graph.
         total = torch.stack([(each * one).sum() for each, one in zip(flow, vector, strict=True)]).sum()
         if not total.requires_grad:
             return [torch.zeros_like(each) for each in by]
-        return _known(torch.autograd.grad(total, list(by), retain_graph=True, allow_unused=True), by)
+        return torch.autograd.grad(total, list(by), retain_graph=True, materialize_grads=True)
 
     def damped(vector: Sequence[Tensor]) -> list[Tensor]:
         return [each + settings.damping * one for each, one in zip(products(own, vector), vector, strict=True)]
@@ -143,11 +142,6 @@ def implicit(
     solved = _conjugate_gradients(damped, of_weights, settings.cg_steps)
     gradients = tuple(one - each for one, each in zip(direct, products(upper, solved), strict=True))
     return Hypergradient(value.detach(), gradients, {name: each.detach() for name, each in found.items()})
-
-
-def _known(slopes: Sequence[Tensor | None], of: Sequence[Tensor]) -> list[Tensor]:
-    """Return gradients, 0 for tensors on which nothing depends."""
-    return [torch.zeros_like(each) if slope is None else slope for slope, each in zip(slopes, of, strict=True)]
 
 
 def _conjugate_gradients(

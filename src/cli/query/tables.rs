@@ -1,10 +1,10 @@
 //! Predicates as Parquet tables.
 
 use crate::datalog::codes;
-use crate::datalog::internal::{record_of_text, whole_record};
+use crate::datalog::internal::{record_of_text, shortened, whole_record};
 use crate::datalog::{BaseType, Column, EvalError, PredicateId, Session, Value, facts};
 use crate::diag::Diagnostic;
-use crate::files::Output;
+use crate::files::{Output, check_flat};
 use crate::symbol::Symbol;
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{ByteArray, ByteArrayType, FloatType, Int32Type};
@@ -53,6 +53,7 @@ fn load_rows(session: &mut Session, id: PredicateId, file: File) -> Result<(), D
     let program = session.program().clone();
     let predicate = &program.rules().predicates[id.index()];
     let (name, arity) = (&predicate.name, predicate.arity());
+    check_flat(&file).map_err(|error| fault(format!("not a readable Parquet table: {error}")))?;
     let reader = SerializedFileReader::new(file).map_err(|error| unreadable(&error))?;
     let schema = reader.metadata().file_metadata().schema_descr();
     let found: Vec<&str> = schema
@@ -61,22 +62,18 @@ fn load_rows(session: &mut Session, id: PredicateId, file: File) -> Result<(), D
         .iter()
         .map(|field| field.name())
         .collect();
-    if found.len() != arity {
-        let wanted: Vec<&str> = predicate.columns.iter().map(|column| column.name.as_str()).collect();
-        let (wanted, count, found) = (wanted.join(", "), found.len(), found.join(", "));
-        let message = format!("expected the {arity} columns [{wanted}] of `{name}`, not the {count} columns [{found}]");
-        return Err(fault(message).at(predicate.span, "declared here"));
+    let positions = predicate.positions_in(&found);
+    let positions = positions.map_err(|message| fault(message).at(predicate.span, "declared here"))?;
+    if arity == 0 {
+        if reader.metadata().file_metadata().num_rows() > 0 {
+            session.insert(id, ()).map_err(|error| fault(error.to_string()))?;
+        }
+        return Ok(());
     }
-    let named = predicate
-        .columns
-        .iter()
-        .map(|column| found.iter().position(|name| *name == column.name));
-    let positions = named.collect::<Option<Vec<usize>>>();
-    let positions = positions.unwrap_or_else(|| (0..arity).collect());
     let mut words: Vec<Value> = Vec::new();
     let rows = reader.get_row_iter(None).map_err(|error| unreadable(&error))?;
     let flush = |session: &mut Session, words: &mut Vec<Value>| {
-        let inserted = session.insert_all(id, words.chunks_exact(arity.max(1)));
+        let inserted = session.insert_all(id, words.chunks_exact(arity));
         inserted.map_err(|error| fault(error.to_string()))?;
         words.clear();
         let limit = session.limits().bytes;
@@ -87,9 +84,6 @@ fn load_rows(session: &mut Session, id: PredicateId, file: File) -> Result<(), D
     };
     for (number, row) in rows.enumerate() {
         let row = row.map_err(|error| unreadable(&error))?;
-        if arity == 0 {
-            session.insert(id, ()).map_err(|error| fault(error.to_string()))?;
-        }
         let cells: Vec<&Field> = row.get_column_iter().map(|(_, field)| field).collect();
         for (column, &at) in predicate.columns.iter().zip(&positions) {
             let word = word(session, column, cells[at]).map_err(|found| {
@@ -145,8 +139,8 @@ fn word(session: &mut Session, column: &Column, field: &Field) -> Result<Value, 
     };
     word.ok_or_else(|| match field {
         Field::Null => "null".to_owned(),
-        Field::Str(text) => format!("{text:?}"),
-        field => field.to_string(),
+        Field::Str(text) => format!("{:?}", shortened(text)),
+        field => shortened(&field.to_string()).into_owned(),
     })
 }
 

@@ -267,6 +267,31 @@ impl Predicate {
     pub fn arity(&self) -> usize {
         self.columns.len()
     }
+
+    /// Returns the position of each column among the columns of a table: by name if the names are the same, and otherwise
+    /// in order.
+    ///
+    /// # Errors
+    ///
+    /// A message if the table has more or fewer columns, or only some of the names, and they in another order.
+    pub fn positions_in(&self, table: &[&str]) -> Result<Vec<usize>, String> {
+        let places = self.columns.iter();
+        let places: Vec<Option<usize>> = places
+            .map(|column| table.iter().position(|name| *name == column.name))
+            .collect();
+        if let (true, Some(named)) = (table.len() == self.arity(), places.iter().copied().collect()) {
+            return Ok(named);
+        }
+        let in_order = (0..)
+            .zip(&places)
+            .all(|(at, place)| place.is_none_or(|place| place == at));
+        if table.len() == self.arity() && in_order {
+            return Ok((0..self.arity()).collect());
+        }
+        let wanted: Vec<&str> = self.columns.iter().map(|column| column.name.as_str()).collect();
+        let (wanted, name, found) = (wanted.join(", "), &self.name, table.join(", "));
+        Err(format!("expected the columns [{wanted}] of `{name}`, not [{found}]"))
+    }
 }
 
 /// The id of a variable of one clause: its position in [`Clause::variables`].

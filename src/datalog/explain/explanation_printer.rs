@@ -626,7 +626,6 @@ fn is_unfolded(predicate: &Predicate) -> bool {
 /// Returns a functor application as text.
 fn applied(functor: Functor, arguments: &[String]) -> String {
     let name = functor.name();
-    let word = name.starts_with(char::is_alphabetic);
     match (functor, arguments) {
         (Functor::Pack, [shape, fields @ ..]) => {
             let fields = fields.join(", ");
@@ -637,19 +636,7 @@ fn applied(functor: Functor, arguments: &[String]) -> String {
         }
         (Functor::Negate, [only]) => format!("-({only})"),
         (Functor::BitNot | Functor::Not, [only]) => format!("{name} {only}"),
-        (
-            Functor::BitAnd
-            | Functor::BitOr
-            | Functor::BitXor
-            | Functor::ShiftLeft
-            | Functor::ShiftRight
-            | Functor::ShiftRightUnsigned
-            | Functor::And
-            | Functor::Or
-            | Functor::Xor,
-            [left, right],
-        ) => format!("{left} {name} {right}"),
-        (_, [left, right]) if !word => format!("{left} {name} {right}"),
+        (_, [left, right]) if functor.is_infix() => format!("{left} {name} {right}"),
         _ => format!("{name}({})", arguments.join(", ")),
     }
 }

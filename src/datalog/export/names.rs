@@ -20,8 +20,8 @@ impl Names {
     pub(super) fn add(&mut self, name: &str, fallback: &str) -> String {
         let letters = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
         let mut clean: String = letters.collect();
-        let starts = clean.chars().next().is_some_and(|first| first.is_ascii_alphabetic());
-        if !starts {
+        let starts = |first: char| first.is_ascii_alphabetic() || first == '_';
+        if !clean.starts_with(starts) || clean == "_" {
             clean = fallback.to_owned();
         }
         let mut found = clean.clone();

@@ -12,7 +12,7 @@ use crate::value::Value;
 use std::fmt::Write as _;
 
 /// The words that Soufflé reserves.
-const KEYWORDS: [&str; 42] = [
+const KEYWORDS: [&str; 51] = [
     "as",
     "autoinc",
     "band",
@@ -23,6 +23,7 @@ const KEYWORDS: [&str; 42] = [
     "bshr",
     "bshru",
     "btree",
+    "btree_delete",
     "bxor",
     "cat",
     "contains",
@@ -30,7 +31,9 @@ const KEYWORDS: [&str; 42] = [
     "eqrel",
     "false",
     "float",
+    "fold",
     "inline",
+    "input",
     "land",
     "lnot",
     "lor",
@@ -41,10 +44,16 @@ const KEYWORDS: [&str; 42] = [
     "mean",
     "min",
     "nil",
+    "no_inline",
+    "no_magic",
     "number",
     "ord",
+    "output",
+    "overridable",
     "override",
+    "printsize",
     "range",
+    "stateful",
     "strlen",
     "substr",
     "sum",
@@ -246,8 +255,12 @@ impl Scope<'_> {
                 if text.contains('.') { text } else { text + ".0" }
             }
             BaseType::Symbol => {
-                let symbols = &self.printer.rules.symbols;
-                quoted(symbols.resolve(Symbol(value.0)).unwrap_or_default())
+                let text = self.printer.rules.symbols.resolve(Symbol(value.0)).unwrap_or_default();
+                // Soufflé has no escape for it.
+                if text.contains('\0') {
+                    return None;
+                }
+                quoted(text)
             }
             BaseType::Record => return None,
         })
@@ -323,7 +336,15 @@ impl Scope<'_> {
                 let written = arguments.iter().enumerate();
                 let written = written.map(|(at, argument)| self.term(argument, argument_base(*functor, *base, at)));
                 let written: Vec<String> = written.collect::<Option<_>>().ok_or_else(lacking)?;
-                Ok(format!("{to} = {}", applied(*functor, *base, &written)))
+                let value = applied(*functor, *base, &written);
+                Ok(match (functor, written.last()) {
+                    // Here nothing follows from a division by zero; Soufflé ends.
+                    (Functor::Divide | Functor::Remainder, Some(divisor)) if *base != BaseType::Float => {
+                        let zero = if *base == BaseType::Unsigned { "0u" } else { "0" };
+                        format!("{divisor} != {zero}, {to} = {value}")
+                    }
+                    _ => format!("{to} = {value}"),
+                })
             }
             Literal::Aggregate {
                 to,
@@ -366,24 +387,15 @@ fn applied(functor: Functor, base: BaseType, arguments: &[String]) -> String {
     match (functor, arguments) {
         (Functor::Negate, [one]) => format!("-({one})"),
         (Functor::BitNot | Functor::Not, [one]) => format!("{name} ({one})"),
-        (
-            Functor::Add
-            | Functor::Subtract
-            | Functor::Multiply
-            | Functor::Divide
-            | Functor::Remainder
-            | Functor::Power
-            | Functor::BitAnd
-            | Functor::BitOr
-            | Functor::BitXor
-            | Functor::ShiftLeft
-            | Functor::ShiftRight
-            | Functor::ShiftRightUnsigned
-            | Functor::And
-            | Functor::Or
-            | Functor::Xor,
-            [_, _, ..],
-        ) => format!("({})", arguments.join(&format!(" {name} "))),
+        (functor, [_, _, ..]) if functor.is_infix() => {
+            // `-2 ^ 2` would be `-(2 ^ 2)`.
+            let whole = |argument: &String| match argument.starts_with('-') {
+                true => format!("({argument})"),
+                false => argument.clone(),
+            };
+            let arguments: Vec<String> = arguments.iter().map(whole).collect();
+            format!("({})", arguments.join(&format!(" {name} ")))
+        }
         _ => format!("{name}({})", arguments.join(", ")),
     }
 }

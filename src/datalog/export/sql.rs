@@ -12,6 +12,9 @@ use std::fmt::Write as _;
 
 const LANGUAGE: &str = "SQL";
 
+/// The longest expression, in bytes. A variable stands for its expression at every use, so expressions can double.
+const EXPRESSION_MAX: usize = 1 << 16;
+
 /// The column of a predicate without columns; SQL has no tables without any.
 const UNIT: &str = "holds";
 
@@ -123,8 +126,32 @@ impl Writer<'_> {
         &self.tables[id.index()]
     }
 
+    /// Writes what atoms of a predicate read. The table of an input may hold rows twice and rows with `null`.
+    fn source(&self, id: PredicateId) -> String {
+        let table = self.table(id);
+        let name = quoted(&table.name);
+        if !self.rules.predicates[id.index()].input {
+            return name;
+        }
+        let present: Vec<String> = table
+            .columns
+            .iter()
+            .map(|column| format!("{} is not null", quoted(column)))
+            .collect();
+        format!("(select distinct * from {name} where {})", present.join(" and "))
+    }
+
     fn columns(&self, id: PredicateId) -> String {
         let columns: Vec<String> = self.table(id).columns.iter().map(|name| quoted(name)).collect();
+        columns.join(", ")
+    }
+
+    /// Writes the names and types of the columns.
+    fn definition(&self, id: PredicateId) -> String {
+        let types = self.rules.predicates[id.index()].columns.iter();
+        let types = types.map(|column| type_of(column.base)).chain(["boolean"]);
+        let columns = self.table(id).columns.iter().zip(types);
+        let columns: Vec<String> = columns.map(|(name, ty)| format!("{} {ty}", quoted(name))).collect();
         columns.join(", ")
     }
 
@@ -132,18 +159,6 @@ impl Writer<'_> {
     fn base(&self, predicate: &Predicate, id: PredicateId) -> Result<String, Diagnostic> {
         let table = self.table(id);
         let name = quoted(&table.name);
-        let types = predicate.columns.iter().map(|column| type_of(column.base));
-        let types: Vec<&str> = if predicate.columns.is_empty() {
-            vec!["boolean"]
-        } else {
-            types.collect()
-        };
-        let columns = table
-            .columns
-            .iter()
-            .zip(types)
-            .map(|(name, ty)| format!("{} {ty}", quoted(name)));
-        let columns: Vec<String> = columns.collect();
         // A hidden one holds what the caller inserts beside what rules derive.
         let given = predicate.input || predicate.hidden;
         let create = if given {
@@ -151,7 +166,7 @@ impl Writer<'_> {
         } else {
             "create or replace table"
         };
-        let mut out = format!("{create} {name}({});\n", columns.join(", "));
+        let mut out = format!("{create} {name}({});\n", self.definition(id));
         for clause in self.rules.clauses.iter().filter(|clause| clause.head.predicate == id) {
             let row = self.select(clause)?;
             let _ = writeln!(out, "insert into {name} ({row}) except select * from {name};");
@@ -201,20 +216,7 @@ impl Writer<'_> {
         let (name, columns) = (quoted(&self.table(id).name), self.columns(id));
         if starts.is_empty() {
             // Without a first row, recursion derives none.
-            let table = self.table(id);
-            let predicate = &self.rules.predicates[id.index()];
-            let types = predicate
-                .columns
-                .iter()
-                .map(|column| type_of(column.base))
-                .chain(["boolean"]);
-            let columns = table
-                .columns
-                .iter()
-                .zip(types)
-                .map(|(name, ty)| format!("{} {ty}", quoted(name)));
-            let columns: Vec<String> = columns.collect();
-            return Ok(format!("create or replace table {name}({});\n", columns.join(", ")));
+            return Ok(format!("create or replace table {name}({});\n", self.definition(id)));
         }
         let start = starts.join("\n  union ");
         Ok(match steps.is_empty() {
@@ -394,6 +396,9 @@ impl Query<'_> {
 
     /// Binds a result, or compares it if it is bound.
     fn set(&mut self, to: &Term, value: String, base: BaseType, span: Span) -> Result<(), Diagnostic> {
+        if value.len() > EXPRESSION_MAX {
+            return Err(lacking(LANGUAGE, "an expression of this length", span));
+        }
         if self.is_bound(to) {
             let to = self.term(to, base, span)?;
             self.conditions.push(format!("{to} = {value}"));
@@ -411,7 +416,16 @@ impl Query<'_> {
         span: Span,
     ) -> Result<String, Diagnostic> {
         let (left, right) = (self.term(left, base, span)?, self.term(right, base, span)?);
-        Ok(match op {
+        let ordered = matches!(
+            op,
+            Comparison::Less | Comparison::LessEqual | Comparison::Greater | Comparison::GreaterEqual
+        );
+        // DuckDB has a place for "not a number" in the order.
+        let guard = match base == BaseType::Float && ordered {
+            true => format!("not isnan({left}) and not isnan({right}) and "),
+            false => String::new(),
+        };
+        let compared = match op {
             Comparison::Equal => format!("{left} = {right}"),
             Comparison::NotEqual => format!("{left} <> {right}"),
             Comparison::Less => format!("{left} < {right}"),
@@ -421,13 +435,15 @@ impl Query<'_> {
             Comparison::Contains => format!("contains({right}, {left})"),
             Comparison::NotContains => format!("not contains({right}, {left})"),
             Comparison::Match | Comparison::NotMatch => return Err(lacking(LANGUAGE, "`match`", span)),
-        })
+        };
+        Ok(guard + &compared)
     }
 
     /// Joins the table of an atom.
     fn join(&mut self, atom: &Atom) -> Result<(), Diagnostic> {
         let (table, alias) = (self.writer.table(atom.predicate), format!("t{}", self.from.len()));
-        self.from.push(format!("{} {alias}", quoted(&table.name)));
+        self.from
+            .push(format!("{} {alias}", self.writer.source(atom.predicate)));
         let predicate = &self.writer.rules.predicates[atom.predicate.index()];
         for ((term, column), name) in atom.terms.iter().zip(&predicate.columns).zip(&table.columns) {
             let value = format!("{alias}.{}", quoted(name));
@@ -457,7 +473,7 @@ impl Query<'_> {
                 ));
             }
         }
-        let from = format!("from {} a", quoted(&table.name));
+        let from = format!("from {} a", self.writer.source(atom.predicate));
         Ok(match conditions.is_empty() {
             true => from,
             false => format!("{from} where {}", conditions.join(" and ")),

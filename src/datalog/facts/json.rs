@@ -10,7 +10,7 @@ use crate::facts::ordered;
 use crate::session::Session;
 use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::BaseType;
-use crate::value::{self, Value, parse as parse_value};
+use crate::value::{self, Value, parse as parse_value, shortened};
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use std::fmt;
 use std::io::{self, BufReader, Read, Write};
@@ -31,7 +31,7 @@ use std::io::{self, BufReader, Read, Write};
 ///
 /// let fault = facts::load_json(&mut session, age, "[[\"Ada\", \"36\"]]".as_bytes())?.unwrap_err();
 /// assert_eq!(fault.message, "column `years` of `age` holds numbers, not \"36\"");
-/// assert_eq!(fault.notes, ["in line 1, column 14"]);
+/// assert_eq!(fault.notes, ["in line 1, column 13"]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
@@ -242,7 +242,10 @@ impl<'de> Visitor<'de> for RowReader<'_> {
         let mut found: Vec<Option<Value>> = vec![None; columns.len()];
         while let Some(key) = row.next_key::<String>()? {
             let Some(at) = columns.iter().position(|column| column.name == key) else {
-                return Err(A::Error::custom(format!("`{name}` has no column {key:?}")));
+                return Err(A::Error::custom(format!(
+                    "`{name}` has no column {:?}",
+                    shortened(&key)
+                )));
             };
             if found[at].is_some() {
                 return Err(A::Error::custom(format!(
@@ -339,15 +342,16 @@ impl<'de> Visitor<'de> for CellReader<'_> {
             BaseType::Symbol => Ok(Value(self.symbols.intern(text).0)),
             BaseType::Record => read(text, self.column.ty, self.types, &symbol).map_err(|fault| {
                 E::custom(format!(
-                    "{self}: expected {} in {text:?}",
-                    fault.expected.unwrap_or_default()
+                    "{self}: expected {} in {:?}",
+                    fault.expected.unwrap_or_default(),
+                    shortened(text)
                 ))
             }),
             // What `write_json` writes for infinities and "not a number".
             BaseType::Float => parse_value(BaseType::Float, text)
                 .filter(|word| !word.as_float().is_finite())
-                .ok_or_else(|| E::custom(format!("{self}, not {text:?}"))),
-            BaseType::Number | BaseType::Unsigned => Err(E::custom(format!("{self}, not {text:?}"))),
+                .ok_or_else(|| E::custom(format!("{self}, not {:?}", shortened(text)))),
+            BaseType::Number | BaseType::Unsigned => Err(E::custom(format!("{self}, not {:?}", shortened(text)))),
         }
     }
 }

@@ -60,8 +60,8 @@ impl Program {
     /// Reads a session that [`Session::save`] wrote.
     ///
     /// The rules must be those of the saved session; layout, comments and the names of variables do not matter. The
-    /// session gets the limits. The checksum finds accidental changes of the file. It is no signature: whoever writes a
-    /// file on purpose can save rows that the rules do not derive.
+    /// session gets the limits. The checksum finds accidental changes of the file only: a program that writes such files
+    /// can store rows that the rules do not derive.
     ///
     /// ```
     /// # use logicity_datalog::{Limits, Program};

@@ -214,9 +214,13 @@ impl Functor {
 
     /// Returns the binary operator with that spelling.
     pub(crate) fn infix(text: &str) -> Option<Functor> {
-        let infix = |functor: &Functor| !functor.is_prefix() && functor.precedence().is_some();
-        let mut all = Self::NAMES.iter().filter(|(functor, _)| infix(functor));
+        let mut all = Self::NAMES.iter().filter(|(functor, _)| functor.is_infix());
         all.find(|(_, other)| *other == text).map(|(functor, _)| *functor)
+    }
+
+    /// Returns whether the functor is an operator between its arguments.
+    pub(crate) fn is_infix(self) -> bool {
+        !self.is_prefix() && self.precedence().is_some()
     }
 
     /// Returns whether the functor is a prefix operator.

@@ -179,7 +179,9 @@ impl Dataset {
                 actions = add(actions, check_sample(inference, sample)?);
             }
             let concepts = count_concepts(&entities)?;
-            check_masks(&entities, &masks)?;
+            if self.manifest.settings.masks {
+                check_masks(&entities, &masks)?;
+            }
             Ok((entities, samples, actions, concepts))
         });
         match read {
@@ -303,14 +305,9 @@ fn check_masks(entities: &Table, masks: &BTreeMap<&str, MaskBoxes>) -> Result<()
             continue;
         };
         let found = found.get(place).copied().flatten();
-        let is_within = |area: &PixelBox, found: &PixelBox| {
-            let right = |each: &PixelBox| each.x + each.width.cast_signed();
-            let bottom = |each: &PixelBox| each.y + each.height.cast_signed();
-            area.x <= found.x && area.y <= found.y && right(found) <= right(area) && bottom(found) <= bottom(area)
-        };
         let fault = match (area, found) {
             (None, Some(_)) => "has no box, but pixels",
-            (Some(area), Some(found)) if !is_within(area, &found) => "has pixels outside of its box",
+            (Some(area), Some(found)) if !area.contains(found) => "has pixels outside of its box",
             (_, found) if found.is_some() != fraction.is_some_and(|fraction| fraction > 0.0) => {
                 "has pixels, unlike its visible fraction, or lacks them"
             }

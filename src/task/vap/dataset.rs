@@ -182,27 +182,21 @@ impl DatasetWriter {
         let worlds = &self.worlds;
         let mut writer = WorldWriter::begin(set, number)?;
         let frames = worlds.frames(number)?;
-        if self.settings.pictures {
-            let renderer = worlds.renderer(number);
-            let (mut picture, mut bytes) = (Picture::default(), Vec::new());
-            for frame in &frames {
+        let renderer = self.settings.pictures.then(|| worlds.renderer(number));
+        let (mut picture, mut bytes) = (Picture::default(), Vec::new());
+        for frame in &frames {
+            if let Some(renderer) = &renderer {
                 renderer.draw_into(&frame.sprites(), &mut picture);
                 bytes.clear();
                 write_png(&picture, &mut bytes).expect("memory does not fail");
                 writer.put(folder::frame_name(frame.tick), &bytes)?;
-                step(1)?;
             }
-        } else {
-            step(frames.len() as u64)?;
-        }
-        if self.settings.masks {
-            for frame in &frames {
-                let mut bytes = Vec::new();
-                let mask = worlds.mask(frame);
-                write_mask(&mask, (SIDE, SIDE), &mut bytes).expect("memory does not fail");
+            if self.settings.masks {
+                bytes.clear();
+                write_mask(&worlds.mask(frame), (SIDE, SIDE), &mut bytes).expect("memory does not fail");
                 writer.put(folder::mask_name(frame.tick), &bytes)?;
-                step(0)?;
             }
+            step(1)?;
         }
         // The tables come after the pictures, because the boxes of the drawn icons are then cached.
         let entities = Table::entities(worlds, number, &frames);

@@ -4,6 +4,7 @@
 use crate::city::Heading;
 use crate::city::{Action, AgentKind};
 use crate::diag::Diagnostic;
+use crate::files::check_flat;
 use crate::render::PixelBox;
 use crate::sim::{Facts, Vocabulary};
 use crate::task::vap::{Frame, FrameAgent, SIDE, Worlds, faulty};
@@ -17,7 +18,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{Cursor, Write};
 use std::ops::Range;
 use std::panic::catch_unwind;
 use std::sync::Arc;
@@ -262,6 +263,7 @@ impl Table {
     /// # Errors
     /// `invalid-data-set` for other bytes.
     pub fn read(bytes: Vec<u8>) -> Result<Table, Diagnostic> {
+        check_flat(Cursor::new(&bytes)).map_err(|error| faulty(format!("not a table of frames: {error}")))?;
         // The parquet crate may panic on damaged bytes.
         let read = catch_unwind(|| read(bytes.into())).unwrap_or_else(|_| Err(fault("damaged")));
         read.map_err(|error| faulty(format!("not a table of frames: {error}")))
