@@ -274,10 +274,12 @@ peers:
 	cargo run --release --locked --manifest-path benches/peers/Cargo.toml -- $(PEERS_OPTIONS)
 
 # Not part of `make test`. Compares the engine with its peers on larger programs, also after changes of the facts, and
-# writes the figures, which the page about speed draws. Takes Soufflé and datatoad if they are on the path.
+# writes the figures, which the page about speed draws. Takes Soufflé, datatoad and
+# FlowLog if they are on the path.
 # SUITE_OPTIONS are options of the program; the limits of time and memory are those of each run.
 SUITE := benches/suite.json
-SUITE_OPTIONS ?= --repeats 1 --time 60 --memory 10 --peers query,ascent,differential,souffle,souffle-compiled,datatoad
+SUITE_OPTIONS ?= --repeats 1 --time 60 --memory 10 --peers \
+    query,ascent,differential,souffle,souffle-compiled,datatoad,flowlog
 suite:
 	cargo run --release --locked --manifest-path benches/peers/Cargo.toml -- --suite --json $(SUITE) $(SUITE_OPTIONS)
 

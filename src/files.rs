@@ -85,6 +85,20 @@ pub fn names_in(folder: &Path) -> Vec<String> {
     names
 }
 
+/// The maximum number of files that help names.
+const NAMED_MAX: usize = 8;
+
+/// Returns help for a folder, with these names in it, that stands where a file must: the files of this project's kinds.
+pub fn name_a_file(folder: &Path, names: &[String]) -> Option<String> {
+    const ENDINGS: [&str; 7] = [".dl", ".yaml", ".yml", ".jsonl", ".jsonl.gz", ".json", ".parquet"];
+    let fitting = names
+        .iter()
+        .filter(|name| ENDINGS.iter().any(|ending| name.ends_with(ending)));
+    let paths = fitting.map(|name| format!("`{}`", folder.join(name).display()));
+    let first: Vec<String> = paths.take(NAMED_MAX).collect();
+    (!first.is_empty()).then(|| format!("name a file in it: {}", first.join(", ")))
+}
+
 /// Opens a regular file. Fails at once for a pipe, a device or a folder.
 ///
 /// # Errors

@@ -76,10 +76,12 @@ pub fn unreadable(path: &Path, error: &ReadError) -> Failure {
                 .into()
         }
         error => {
-            let near = (*error == ReadError::NotFound)
-                .then(|| builtin::similar(path))
-                .flatten();
-            let help = near.map_or_else(String::new, |near| format!("\nhelp: did you mean `{near}`?"));
+            let help = match error {
+                ReadError::NotFound => builtin::similar(path).map(|near| format!("did you mean `{near}`?")),
+                ReadError::Folder => files::name_a_file(path, &files::names_in(path)),
+                _ => None,
+            };
+            let help = help.map_or_else(String::new, |help| format!("\nhelp: {help}"));
             Failure::Usage(format!("cannot read `{}`: {error}{help}", path.display()))
         }
     }

@@ -498,7 +498,15 @@ pub(super) fn load_inputs(
             let path = path.unwrap_or_else(|| PathBuf::from("standard input"));
             let unreadable = |error: ReadError| {
                 let (name, path) = (&predicate.name, path.display());
-                Failure::Usage(format!("cannot read the facts of `{name}` from `{path}`: {error}"))
+                let help = match error {
+                    ReadError::NotFound => {
+                        "\nhelp: `-F FOLDER` names the folder of the facts; an empty file stands for none"
+                    }
+                    _ => "",
+                };
+                Failure::Usage(format!(
+                    "cannot read the facts of `{name}` from `{path}`: {error}{help}"
+                ))
             };
             if directive.encoding == RowEncoding::Parquet {
                 let file = files::open_regular(&path).map_err(unreadable)?;
@@ -531,7 +539,8 @@ pub(super) fn load_inputs(
 /// Refuses to read facts if the folder or several of the needed files are missing, and names them all.
 fn check_inputs(program: &Program, folder: &Path, needed: &[bool]) -> Result<(), Failure> {
     if !folder.is_dir() {
-        return Err(Failure::file("read facts from", folder, "no such folder"));
+        let fault = "no such folder\nhelp: `-F FOLDER` names the folder of the facts";
+        return Err(Failure::file("read facts from", folder, fault));
     }
     let paths = predicates(program).filter(|(id, _)| needed[id.index()]);
     let missing: Vec<String> = paths
@@ -544,6 +553,7 @@ fn check_inputs(program: &Program, folder: &Path, needed: &[bool]) -> Result<(),
     }
     let (count, missing) = (missing.len(), listed(&missing));
     Err(Failure::Usage(format!(
-        "{count} files of facts are missing: {missing}\nhelp: an empty file stands for a predicate without facts"
+        "{count} files of facts are missing: {missing}\nhelp: `-F FOLDER` names the folder of the facts; an empty file stands \
+         for a predicate without facts"
     )))
 }

@@ -24,7 +24,7 @@ use crate::render::{Animation, Extent, Icons, Overview, Scale, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
-    agent_lints, find_deadlocks, waits,
+    agent_lints, find_deadlocks, unread_predicates, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::{BTreeMap, BTreeSet};
@@ -146,7 +146,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 
     let world = simulation.world();
     let agents = world.scenario.agent_set(arguments.split);
-    report(&agent_lints(world.program.rules(), agents.into_iter()), sources);
+    let rules = world.program.rules();
+    let mut warnings = agent_lints(rules, agents.into_iter());
+    warnings.extend(unread_predicates(rules, &world.scenario.actions.table));
+    report(&warnings, sources);
 
     let cancel = signals::cancel();
     refuse_large_outputs(arguments, ticks, simulation.agents().len())?;

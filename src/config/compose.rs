@@ -17,7 +17,7 @@
 use crate::config::codes;
 use crate::datalog::codes::INCLUDE_CYCLE;
 use crate::diag::{self, Diagnostic, SourceId, Sources, Span, similar_file, similar_file_in};
-use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, builtin_path, normalize, slash_help};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, builtin_path, name_a_file, normalize, slash_help};
 use crate::located::Located;
 use crate::yaml;
 use crate::yaml::{Value, YamlNode};
@@ -147,7 +147,7 @@ impl<'a> Composer<'a> {
             }
             Ok((path, text)) => self.file(path, text, kind, parts, &mut Vec::new()),
             Err(error) => {
-                let mut fault = unreadable(path, &error);
+                let mut fault = self.unreadable(path, &error);
                 if error == ReadError::NotFound {
                     fault
                         .help
@@ -157,6 +157,19 @@ impl<'a> Composer<'a> {
                 None
             }
         }
+    }
+
+    fn unreadable(&self, path: &Path, error: &ReadError) -> Diagnostic {
+        let code = match error {
+            ReadError::NotText { .. } => diag::codes::NOT_TEXT,
+            ReadError::TooLarge(_) => diag::codes::LIMIT_EXCEEDED,
+            ReadError::NotFound | ReadError::Folder | ReadError::Io(_) => codes::MISSING_FILE,
+        };
+        let mut fault = Diagnostic::new(code, format!("cannot read `{}`: {error}", path.display()));
+        if *error == ReadError::Folder {
+            fault.help.extend(name_a_file(path, &self.read.names_in(path)));
+        }
+        fault
     }
 
     /// Returns help for a missing file of a kind: a similar name, or what else has this name.
@@ -265,7 +278,7 @@ impl<'a> Composer<'a> {
         match found {
             Ok(found) => Some(found),
             Err(error) => {
-                let mut fault = unreadable(&path, &error).at(node.span, "");
+                let mut fault = self.unreadable(&path, &error).at(node.span, "");
                 if error == ReadError::NotFound {
                     fault = fault
                         .note("a path is relative to the file that names it; there is no such built-in file either");
@@ -427,13 +440,4 @@ fn merge(base: &mut YamlNode, over: YamlNode) {
         }
         (_, value) => *base = YamlNode { value, ..over },
     }
-}
-
-fn unreadable(path: &Path, error: &ReadError) -> Diagnostic {
-    let code = match error {
-        ReadError::NotText { .. } => diag::codes::NOT_TEXT,
-        ReadError::TooLarge(_) => diag::codes::LIMIT_EXCEEDED,
-        ReadError::NotFound | ReadError::Folder | ReadError::Io(_) => codes::MISSING_FILE,
-    };
-    Diagnostic::new(code, format!("cannot read `{}`: {error}", path.display()))
 }

@@ -11,7 +11,7 @@ use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::Functor;
 use crate::syntax::{is_name, quoted};
-use crate::value::{Value, print_float, record_text};
+use crate::value::{Value, record_text, shortest_float};
 
 impl Program {
     /// Returns the evaluation plan of every clause as text for readers. `sources` must be those of the rules.
@@ -377,7 +377,7 @@ impl Shown<'_> {
             BaseType::Symbol => quoted(self.compiled.rules.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => print_float(value.as_float()),
+            BaseType::Float => shortest_float(value.as_float()),
             BaseType::Record => record_text(value, &self.compiled.rules.symbols),
         }
     }

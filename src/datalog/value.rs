@@ -482,7 +482,19 @@ impl Patterns {
 ///
 /// Very small and very large numbers have an exponent.
 pub fn print_float(x: f32) -> String {
-    const DIGITS: i32 = 9;
+    float_text(x, 9)
+}
+
+/// Returns a float as the shortest text that reads back as the same float, for readers: `0.45`, where [`print_float`]
+/// returns `0.449999988`.
+pub fn shortest_float(x: f32) -> String {
+    let scientific = format!("{x:e}");
+    let mantissa = scientific.split('e').next().unwrap_or_default();
+    float_text(x, mantissa.bytes().filter(u8::is_ascii_digit).count().max(1))
+}
+
+/// Returns a float as text with so many significant digits, at least 1, without trailing zeros.
+fn float_text(x: f32, digits: usize) -> String {
     if !x.is_finite() {
         return if x.is_nan() {
             "nan"
@@ -493,7 +505,7 @@ pub fn print_float(x: f32) -> String {
         }
         .to_owned();
     }
-    let scientific = format!("{:.*e}", (DIGITS - 1) as usize, x);
+    let scientific = format!("{:.*e}", digits - 1, x);
     let Some((mantissa, exponent)) = scientific.split_once('e') else {
         return scientific;
     };
@@ -502,8 +514,8 @@ pub fn print_float(x: f32) -> String {
         true => digits.trim_end_matches('0').trim_end_matches('.').to_owned(),
         false => digits.to_owned(),
     };
-    if (-4..DIGITS).contains(&exponent) {
-        let decimals = usize::try_from(DIGITS - 1 - exponent).unwrap_or_default();
+    if (-4..9).contains(&exponent) {
+        let decimals = usize::try_from(digits as i32 - 1 - exponent).unwrap_or_default();
         trim(&format!("{x:.decimals$}"))
     } else {
         let sign = if exponent < 0 { '-' } else { '+' };

@@ -1080,6 +1080,22 @@ fn a_large_change_is_recomputed_and_a_small_one_maintained() {
     (0..9).for_each(|chain| insert(&mut session, "Edge", &[&[chain * 30 + 29, chain * 30 + 30]]));
     session.commit().unwrap();
     assert_eq!(maintained(&session), "Rr");
+    // The last node is cut off, then the chain is cut in the middle: half of all paths may be lost.
+    let path = program.predicate("Path").unwrap();
+    insert(&mut session, "Edge", &[&[238, 239]]);
+    session.commit().unwrap();
+    retract(&mut session, "Edge", &[&[298, 299]]);
+    session.commit().unwrap();
+    assert_eq!(maintained(&session), "mr");
+    assert_eq!(session.len(path), 299 * 298 / 2 + 1);
+    retract(&mut session, "Edge", &[&[149, 150]]);
+    let delta = session.commit().unwrap();
+    assert_eq!(maintained(&session), "Rr");
+    assert_eq!(session.len(path), (150 * 149 + 149 * 148) / 2 + 1);
+    assert_eq!(delta.of(path).unwrap().removed.len(), 150 * 149);
+    insert(&mut session, "Edge", &[&[298, 299], &[149, 150]]);
+    session.commit().unwrap();
+    assert_eq!(session.len(path), 300 * 299 / 2 + 1);
     // Nearly all marks change: maintenance does not seem cheap.
     (6..290).for_each(|x| insert(&mut session, "Mark", &[&[x]]));
     session.commit().unwrap();

@@ -2,6 +2,7 @@
 //! an explanation calls false is false.
 
 use crate::cases::cases;
+use crate::component::load;
 use crate::proofs::{check, database};
 use crate::random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
@@ -12,7 +13,9 @@ use logicity_datalog::diag::{Diagnostic, Limit, Sources};
 use logicity_datalog::explain::{
     AbsenceReason, ExplainError, Explainer, ExplanationPrinter, FailureKind, Node, Obstacle, Origin, Premise,
 };
-use logicity_datalog::{ClauseId, Literal, PredicateId, Rules, Value};
+use logicity_datalog::{
+    BaseType, ClauseId, Literal, PredicateId, Rules, Value, parse_value, print_float, shortest_float,
+};
 use logicity_datalog::{Limits, Program, Session, naive};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -193,9 +196,31 @@ proptest! {
     }
 
     #[test]
+    fn shown_floats_read_back(bits in any::<u32>()) {
+        let float = Value::float(f32::from_bits(bits));
+        let shown = shortest_float(float.as_float());
+        prop_assert_eq!(parse_value(BaseType::Float, &shown), Some(float), "{}", shown);
+        prop_assert!(shown.len() <= print_float(float.as_float()).len(), "{}", shown);
+    }
+
+    #[test]
     fn random_recursion_is_explained(genome in recursive_genomes(1..2)) {
         check_genome(&genome);
     }
+}
+
+#[test]
+fn floats_are_shown_as_written() {
+    let (sources, loaded) = load(".decl p, q(x: float)\np(0.45).\np(1e20).\nq(x * 2) :- p(x).\n");
+    let program = Program::new(loaded.rules.unwrap()).unwrap();
+    let mut session = program.session();
+    session.commit().unwrap();
+    let shown = |row: f32| {
+        let why = Explainer::new(&session).explain(program.predicate("q").unwrap(), &[Value::float(row)]);
+        ExplanationPrinter::new(program.rules(), session.symbols(), &sources).tree(&why.unwrap().unwrap())
+    };
+    assert!(shown(0.9).starts_with("q(0.9)"), "{}", shown(0.9));
+    assert!(shown(2e20).contains("p(1e+20)"), "{}", shown(2e20));
 }
 
 fn numbers(row: &[i32]) -> Vec<Value> {

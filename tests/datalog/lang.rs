@@ -493,7 +493,8 @@ fn parts_of_names_are_suggested() {
     assert!(said.len() == 1 && !said[0].contains("vocabulary.dl"), "{said:?}");
     // A built-in file offers exactly the names that it declares.
     let include = "add `.include \"vocabulary.dl\"`, which declares it";
-    let own = "declare it: `.decl Teleports(...)`, or include the file that declares it";
+    let own = "declare it: `.decl Teleports(...)`, with `.input Teleports` if its facts are given, or include the file \
+               that declares it";
     assert_eq!(helps("Stop(X) :- Teleports(X).\n"), [include, own]);
     let text = ".decl Near(x: agent)\n.output Near\nNear(X) :- IsCar(X), IsClose(X, _).\n";
     assert_eq!(helps(text), [include; 3]);

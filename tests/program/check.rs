@@ -273,6 +273,32 @@ fn absent_agents_and_unread_outputs_are_reported() {
     assert_eq!(found(folder.path(), &["taxi.yaml"]), is(&[]));
 }
 
+/// Rules alone may be for another city.
+#[test]
+fn runs_report_unread_predicates() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ".include \"vocabulary.dl\"\nStop(X) :- CollidingClose(X, Y).\n\
+                .decl Old(x: agent)\nOld(X) :- IsOld(X).\n\
+                .decl Young(x: agent)\n.output Young\nYoung(X) :- IsYoung(X).\n";
+    let rules = write(folder.path(), "own.dl", text);
+    assert_eq!(found(folder.path(), &["own.dl"]), is(&[]));
+    let out = folder.path().join("out");
+    let ran = [
+        "run",
+        "expert",
+        "--rules",
+        &rules,
+        "--ticks",
+        "1",
+        "--no-pictures",
+        "--out",
+    ];
+    let output = run(&[&ran[..], &[out.to_str().unwrap()]].concat(), b"");
+    let said = err(&output);
+    assert!(said.contains("`Old` has no effect in a city"), "{said}");
+    assert!(said.contains("`.output Young` has no effect in a city"), "{said}");
+}
+
 /// Names of agents are those of all kinds of the configuration, also in comparisons.
 #[test]
 fn names_of_agents_of_own_kinds_are_known() {

@@ -2909,6 +2909,36 @@ fn the_summary_counts_facts_of_actions() {
 }
 
 #[test]
+fn a_folder_instead_of_a_file_is_answered_with_its_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("place");
+    fs::create_dir_all(path.join("empty")).unwrap();
+    let rules = write(&path, "own.dl", ".decl p(x: number)\np(1).\n");
+    write(&path, "notes.txt", "");
+    let (place, empty) = (path.to_str().unwrap(), path.join("empty"));
+    let named = format!("help: name a file in it: `{rules}`");
+    let lines: [&[&str]; 5] = [
+        &["check", place],
+        &["query", place],
+        &["explain", place, "--agent", "Car_1"],
+        &["run", place],
+        &["infer", place],
+    ];
+    for line in lines {
+        let output = run(line, b"");
+        let said = err(&output);
+        assert_eq!(code(&output), 2, "{line:?}: {said}");
+        assert!(said.contains("it is a folder, not a file"), "{line:?}: {said}");
+        assert!(said.contains(&named) && !said.contains("notes"), "{line:?}: {said}");
+    }
+    let config = write(folder.path(), "own.yaml", "base: place\n");
+    fails(&logicity(["run", &config]), 1, &["name a file in it: `", "own.dl`"]);
+    let nothing = logicity(["check", empty.to_str().unwrap()]);
+    fails(&nothing, 2, &["it is a folder, not a file"]);
+    assert!(!err(&nothing).contains("help"), "{}", err(&nothing));
+}
+
+#[test]
 fn missing_facts_are_named_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let text = ".decl A, B, C, D(x: symbol)\n.input A, B, C, D\n.output C\n.printsize B\nC(x) :- A(x).\n";
@@ -2924,6 +2954,7 @@ fn missing_facts_are_named_at_once() {
             "A.facts`",
             "B.facts`",
             "C.facts`",
+            "`-F FOLDER` names the folder",
             "an empty file",
         ],
     );

@@ -45,7 +45,7 @@ struct Arguments {
     /// Resident memory of a run in GiB, at which it is killed
     #[arg(long, value_name = "GIB", default_value_t = 16)]
     memory: u64,
-    /// File for all figures
+    /// File for all figures; it keeps those of other cases
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
@@ -116,7 +116,7 @@ fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut peers: Vec<Peer> = Peer::ALL.into_iter().filter(wanted).collect();
     peers.retain(|peer| peer.is_compiled() && cases.iter().any(|case| peer.has(case.kind())));
     let mut versions: Vec<(&str, String)> = Vec::new();
-    for program in ["souffle", "datatoad"] {
+    for program in Peer::PROGRAMS {
         if !peers.iter().any(|peer| peer.program() == Some(program)) {
             continue;
         }
@@ -131,9 +131,18 @@ fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
 
     let work = tempfile::tempdir()?;
     let mut results = report::Results::new(limits);
-    for &case in &cases {
+    let earlier = match arguments.json.as_deref().filter(|path| path.exists()) {
+        Some(path) => serde_json::from_str(&std::fs::read_to_string(path)?)?,
+        None => serde_json::Value::Null,
+    };
+    for (position, &case) in cases.iter().enumerate() {
         let folder = work.path().join(case.to_string());
-        peer::write_case(case, &folder)?;
+        // In another process, since the peak of a process begins with that of its parent.
+        let mut write = std::process::Command::new(std::env::current_exe()?);
+        write.args(["--cases", &case.to_string(), "data"]).arg(work.path());
+        if !write.status()?.success() {
+            return Err(format!("{case}: the facts were not written").into());
+        }
         let with: Vec<Peer> = peers.iter().copied().filter(|peer| peer.has(case.kind())).collect();
         for peer in &with {
             peer.compile(case, &folder)?;
@@ -166,13 +175,14 @@ fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         }
         let counts = expected.map(|(counts, _)| counts).unwrap_or_default();
         eprintln!("{case}: {} peers count {counts:?}", with.len());
+        if let Some(path) = &arguments.json {
+            let done = &cases[..=position];
+            std::fs::write(path, results.json(&peers, done, &versions, &earlier))?;
+        }
     }
     match arguments.suite {
         true => print!("{}", results.suite(&peers, &cases)),
         false => print!("{}", results.table(&peers, &cases)),
-    }
-    if let Some(path) = &arguments.json {
-        std::fs::write(path, results.json(&peers, &cases, &versions))?;
     }
     Ok(())
 }

@@ -28,6 +28,8 @@ pub enum Peer {
     SouffleCompiled,
     /// datatoad, including startup and reading rules and facts
     Datatoad,
+    /// A program compiled by FlowLog, including startup and reading facts
+    Flowlog,
 }
 
 impl fmt::Display for Peer {
@@ -42,6 +44,7 @@ impl fmt::Display for Peer {
             Peer::Souffle => "Soufflé interpreted *",
             Peer::SouffleCompiled => "Soufflé compiled *",
             Peer::Datatoad => "datatoad *",
+            Peer::Flowlog => "FlowLog compiled *",
         })
     }
 }
@@ -51,7 +54,7 @@ pub const AS_LOGICITY: &str = "LOGICITY_PEERS_AS_LOGICITY";
 
 impl Peer {
     /// All peers, logicity first.
-    pub const ALL: [Peer; 9] = [
+    pub const ALL: [Peer; 10] = [
         Peer::Engine,
         Peer::Query,
         Peer::Ascent,
@@ -61,7 +64,11 @@ impl Peer {
         Peer::Souffle,
         Peer::SouffleCompiled,
         Peer::Datatoad,
+        Peer::Flowlog,
     ];
+
+    /// The programs on the path that peers need.
+    pub const PROGRAMS: [&str; 3] = ["souffle", "datatoad", "flowlog-compiler"];
 
     /// Whether this program contains it or calls it.
     pub fn is_compiled(self) -> bool {
@@ -73,6 +80,7 @@ impl Peer {
         match self {
             Peer::Souffle | Peer::SouffleCompiled => Some("souffle"),
             Peer::Datatoad => Some("datatoad"),
+            Peer::Flowlog => Some("flowlog-compiler"),
             _ => None,
         }
     }
@@ -109,6 +117,14 @@ impl Peer {
                 std::fs::write(folder.join("program.dt"), for_datatoad(case, folder))?;
                 return Ok(());
             }
+            Peer::Flowlog => {
+                let program = folder.join("program.flowlog.dl");
+                std::fs::write(&program, for_flowlog(case.kind().program()))?;
+                let mut command = Command::new("flowlog-compiler");
+                command.arg(program).arg("-F").arg(folder);
+                command.args(["-D", "-", "-o"]).arg(folder.join("flowlog"));
+                command
+            }
             _ => return Ok(()),
         };
         eprintln!("{case}: {self} compiles the program");
@@ -140,6 +156,11 @@ impl Peer {
             Peer::Souffle => of("souffle".as_ref(), &[program.as_ref(), facts[0], facts[1]]),
             Peer::SouffleCompiled => of(&folder.join("compiled"), &facts),
             Peer::Datatoad => of("datatoad".as_ref(), &[folder.join("program.dt").as_ref()]),
+            // It counts on standard error.
+            Peer::Flowlog => of(
+                "sh".as_ref(),
+                &["-c".as_ref(), "exec \"$0\" -w 1 2>&1".as_ref(), folder.join("flowlog").as_ref()],
+            ),
             _ => of(&ours, &["once".as_ref(), name(self).as_ref(), name(case).as_ref()]),
         };
         command.stdin(Stdio::null()).stdout(Stdio::piped());
@@ -153,6 +174,9 @@ impl Peer {
             match (self, &words[..]) {
                 // `.list` of datatoad.
                 (Peer::Datatoad, [count, found, "[forms:", ..]) if *found == predicate => count.parse().ok(),
+                (Peer::Flowlog, [found, .., count]) if *found == format!("[size][{predicate}]") => {
+                    count.strip_prefix("size=")?.parse().ok()
+                }
                 (_, [found, count]) if *found == predicate => count.parse().ok(),
                 _ => None,
             }
@@ -182,6 +206,23 @@ fn for_datatoad(case: Case, folder: &Path) -> String {
     }
     rules(case.kind().program()).for_each(|line| text.extend([line, "\n"]));
     text + ".list\n.quit\n"
+}
+
+/// The program with the types of FlowLog, and options at each `.input`.
+fn for_flowlog(program: &str) -> String {
+    let mut text = String::new();
+    for line in program.lines() {
+        match line.strip_prefix(".input ") {
+            Some(names) => {
+                for name in names.split(", ") {
+                    text += &format!(".input {name}(IO=\"file\", filename=\"{name}.facts\", delimiter=\"\\t\")\n");
+                }
+            }
+            None if line.starts_with(".decl") => text += &(line.replace(": number", ": int32") + "\n"),
+            None => text.extend([line, "\n"]),
+        }
+    }
+    text
 }
 
 /// Writes the program and its facts, one file per predicate.

@@ -3,7 +3,7 @@
 use crate::case::{Case, name};
 use crate::measure::{CHANGES, Limit, Limits, Outcome, Run};
 use crate::peer::Peer;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::fmt::Write;
 
 /// All runs, in order.
@@ -156,8 +156,12 @@ impl Results {
     }
 
     /// Every median and every run.
-    pub fn json(&self, peers: &[Peer], cases: &[Case], versions: &[(&str, String)]) -> String {
-        let mut list = Vec::new();
+    pub fn json(&self, peers: &[Peer], cases: &[Case], versions: &[(&str, String)], earlier: &Value) -> String {
+        let is_new = |row: &&Value| cases.iter().any(|case| row["case"] == name(*case));
+        let mut list: Vec<Value> = (earlier["medians"].as_array().into_iter().flatten())
+            .filter(|row| !is_new(row))
+            .cloned()
+            .collect();
         for &case in cases {
             for &peer in peers {
                 if let Some(limit) = self.exceeded(peer, case) {
@@ -192,10 +196,12 @@ impl Results {
                 }));
             }
         }
-        let versions: serde_json::Map<_, _> = versions
-            .iter()
-            .map(|(name, version)| ((*name).to_owned(), json!(version)))
-            .collect();
+        let order = |row: &Value| Case::SUITE.iter().position(|case| row["case"] == name(*case));
+        list.sort_by_key(order);
+        let mut known = earlier["versions"].as_object().cloned().unwrap_or_default();
+        let new = versions.iter().map(|(name, version)| ((*name).to_owned(), json!(version)));
+        known.extend(new);
+        let versions = known;
         let all = json!({ "versions": versions, "changes": CHANGES, "medians": list });
         format!("{all:#}\n")
     }

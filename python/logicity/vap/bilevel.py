@@ -134,7 +134,7 @@ def implicit(
         total = torch.stack([(each * one).sum() for each, one in zip(flow, vector, strict=True)]).sum()
         if not total.requires_grad:
             return [torch.zeros_like(each) for each in by]
-        return torch.autograd.grad(total, list(by), retain_graph=True, materialize_grads=True)
+        return list(torch.autograd.grad(total, list(by), retain_graph=True, materialize_grads=True))
 
     def damped(vector: Sequence[Tensor]) -> list[Tensor]:
         return [each + settings.damping * one for each, one in zip(products(own, vector), vector, strict=True)]

@@ -385,11 +385,11 @@ impl<'s> Workbench<'s> {
             // The tree is only printed.
             BaseType::Record => ast::TermKind::Variable(record_source(value, self.session.symbols())),
             BaseType::Float if value.as_float().is_finite() => {
-                ast::TermKind::Float(datalog::print_float(value.as_float()))
+                ast::TermKind::Float(datalog::shortest_float(value.as_float()))
             }
             BaseType::Float => {
                 let text = ast::Term {
-                    kind: ast::TermKind::Symbol(datalog::print_float(value.as_float())),
+                    kind: ast::TermKind::Symbol(datalog::shortest_float(value.as_float())),
                     place,
                 };
                 ast::TermKind::Functor(Functor::ToFloat, vec![text])

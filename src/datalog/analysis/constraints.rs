@@ -6,7 +6,7 @@ use crate::diag::Diagnostic;
 use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
-use crate::value::{Value, print_float, record_text};
+use crate::value::{Value, record_text, shortest_float};
 use std::collections::HashSet;
 
 /// Maximum number of violations reported, one for each constraint.
@@ -106,7 +106,7 @@ fn shown(session: &Session, predicate: PredicateId, row: &[Value]) -> String {
         .map(|(column, value)| match column.base {
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => print_float(value.as_float()),
+            BaseType::Float => shortest_float(value.as_float()),
             BaseType::Record => record_text(*value, session.symbols()),
             BaseType::Symbol => format!("{:?}", session.symbols().resolve(Symbol(value.0)).unwrap_or_default()),
         });

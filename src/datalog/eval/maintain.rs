@@ -16,7 +16,7 @@
 use crate::check::PredicateId;
 use crate::eval::exec::{Commit, Failure, Meter, Quota, State, specs};
 use crate::eval::join::RowView;
-use crate::eval::output::Output;
+use crate::eval::output::{Abort, Output};
 use crate::eval::recursion::{Iteration, Relation, Variable};
 use crate::eval::table::{Table, TableDelta};
 use crate::plan::steps::{ChangePlan, IndexSpec, Plan, Source, Step, StratumPlan, Version};
@@ -28,17 +28,18 @@ type ByMember<const W: usize> = Vec<Vec<Row<W>>>;
 
 impl<const W: usize> State<W> {
     /// Returns the changes of the stratum's members and the number of rounds. The inputs' tables are new, the members'
-    /// tables old.
+    /// tables old. Fails if a member may lose more rows than `lost_max`.
     pub(crate) fn maintain(
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
+        lost_max: usize,
         quota: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<TableDelta<W>>, usize), Failure> {
         let plans = &commit.plans;
         let members = &stratum.members;
-        let (lost, mut rounds) = self.lose(commit, stratum, meter)?;
+        let (lost, mut rounds) = self.lose(commit, stratum, lost_max, meter)?;
 
         // In a recursive stratum, a row that may be lost must not support others.
         let without = |(predicate, lost): (&PredicateId, &Vec<Row<W>>)| {
@@ -93,6 +94,7 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
+        lost_max: usize,
         meter: &mut Meter<'_>,
     ) -> Result<(ByMember<W>, usize), Failure> {
         let plans = &commit.plans;
@@ -100,8 +102,7 @@ impl<const W: usize> State<W> {
             Some((_, table)) => ByWidth::Own(table.batch(spec)),
             None => self.batch(spec),
         };
-        // Lost rows existed before, so they need no limit.
-        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(usize::MAX)).collect();
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(lost_max)).collect();
         derive_from_inputs(commit, stratum, ChangeSide::Lost, None, &before, meter, &mut outputs)?;
         if !stratum.recursive || outputs.iter().all(Output::is_empty) {
             return Ok((outputs.iter_mut().map(Output::take).collect(), 0));
@@ -119,6 +120,11 @@ impl<const W: usize> State<W> {
             }
             if !iteration.changed() {
                 break;
+            }
+            for variable in &variables {
+                let stable: usize = variable.stable.borrow().iter().map(|rows| rows.len()).sum();
+                let lost = stable + variable.recent.borrow().len();
+                meter.fail_if(lost > lost_max, stratum, Abort::Budget)?;
             }
             rounds += 1;
             for &clause in &stratum.clauses {

@@ -13,7 +13,7 @@ use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
 use crate::syntax::quoted;
-use crate::value::{Value, record_text};
+use crate::value::{Value, record_text, shortest_float};
 use indexmap::IndexSet;
 use serde_json::{Map, json};
 use std::collections::{BTreeMap, HashSet};
@@ -259,9 +259,11 @@ impl<'a> ExplanationPrinter<'a> {
                 let value = match base {
                     BaseType::Number => json!(value.as_number()),
                     BaseType::Unsigned => json!(value.0),
-                    BaseType::Float if value.as_float().is_finite() => json!(value.as_float()),
                     // JSON has no infinities and no NaN.
-                    BaseType::Float => json!(value.as_float().to_string()),
+                    BaseType::Float => match shortest_float(value.as_float()).parse::<f64>() {
+                        Ok(float) if float.is_finite() => json!(float),
+                        _ => json!(shortest_float(value.as_float())),
+                    },
                     BaseType::Record => json!(record_text(value, self.symbols)),
                     BaseType::Symbol => json!(self.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
                 };
@@ -356,7 +358,7 @@ impl<'a> ExplanationPrinter<'a> {
         match base {
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => crate::value::print_float(value.as_float()),
+            BaseType::Float => shortest_float(value.as_float()),
             BaseType::Record => record_text(value, self.symbols),
             BaseType::Symbol => {
                 let text = self.symbols.resolve(Symbol(value.0)).unwrap_or_default();

@@ -95,7 +95,7 @@ pub fn examine(rules: &Rules, city: Option<&CityTheory>, sources: &Sources) -> E
     diagnostics.extend(scenario.into_iter().flat_map(|scenario| {
         let mut found = agent_lints(rules, scenario.splits.iter().map(|(_, set)| set));
         found.extend(empty_predicates(rules, scenario, &empty));
-        found.extend(unread_predicates(rules, scenario));
+        found.extend(unread_predicates(rules, &scenario.actions.table));
         found.extend(unused_actions(rules, scenario));
         found.extend(unused_definitions(rules, scenario, sources));
         found.extend(unused_kinds(scenario, sources));
@@ -158,11 +158,10 @@ fn unknown_values(rules: &Rules, functions: &[Function]) -> Vec<Diagnostic> {
 
 /// Warns of predicates that are not actions and that no clause reads: outputs, which a city does not write, and others
 /// with clauses in a file that decides.
-fn unread_predicates(rules: &Rules, scenario: &Scenario) -> Vec<Diagnostic> {
+pub fn unread_predicates(rules: &Rules, table: &ActionTable) -> Vec<Diagnostic> {
     let atoms = (rules.clauses.iter()).flat_map(|clause| clause.body.iter().filter_map(Literal::atom));
     let read: BTreeSet<PredicateId> = atoms.map(|atom| atom.predicate).collect();
     let derived: BTreeSet<PredicateId> = rules.clauses.iter().map(|clause| clause.head.predicate).collect();
-    let table = &scenario.actions.table;
     // A file without a clause for an action offers words, of which a city may leave some unread.
     let decides = |clause: &&Clause| {
         let head = &rules.predicates[clause.head.predicate.index()];

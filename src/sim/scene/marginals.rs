@@ -77,14 +77,19 @@ fn write_key(out: &mut dyn Write, position: usize, key: &str) -> io::Result<()> 
     out.write_all(b":")
 }
 
+/// Returns a probability with 15 significant digits, which hide the errors of rounding: 0.011, not 0.011000000000000001.
+fn shown(probability: f64) -> f64 {
+    format!("{probability:.14e}").parse().unwrap_or(probability)
+}
+
 fn write_probabilities(out: &mut dyn Write, list: &[(String, Probability)]) -> io::Result<()> {
     out.write_all(b"{")?;
     for (position, (action, probability)) in list.iter().enumerate() {
         write_key(out, position, action)?;
         match probability.interval {
-            None => serde_json::to_writer(&mut *out, &probability.value)?,
+            None => serde_json::to_writer(&mut *out, &shown(probability.value))?,
             Some((low, high)) => {
-                let estimate = json!({ "value": probability.value, "low": low, "high": high });
+                let estimate = json!({ "value": shown(probability.value), "low": shown(low), "high": shown(high) });
                 write!(out, "{estimate}")?;
             }
         }

@@ -8,7 +8,7 @@ use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::Functor;
-use crate::value::{Value, parse as parse_value, print_float, record_text};
+use crate::value::{Value, parse as parse_value, record_text, shortest_float};
 use std::collections::BTreeSet;
 
 /// The limits of evaluating one scene. A scene that exceeds them is skipped.
@@ -33,7 +33,7 @@ pub(super) fn words(session: &mut Session, columns: &[BaseType], row: &[String])
 fn print(base: BaseType, value: Value) -> String {
     match base {
         BaseType::Unsigned => value.0.to_string(),
-        BaseType::Float => print_float(value.as_float()),
+        BaseType::Float => shortest_float(value.as_float()),
         BaseType::Number | BaseType::Symbol | BaseType::Record => value.as_number().to_string(),
     }
 }
@@ -94,7 +94,7 @@ pub(super) fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>)
             }
             BaseType::Float => {
                 let near = [value.as_float() - 1.0, value.as_float(), value.as_float() + 1.0];
-                constants.extend(near.map(|number| (base, print_float(number))));
+                constants.extend(near.map(|number| (base, shortest_float(number))));
             }
             // No fact of a trial has records.
             BaseType::Record => {}

@@ -540,7 +540,10 @@ impl Names {
                         .fold(fault, |fault, include| fault.help(format!("or {include}")))
                 }
                 None => fault.help(include(name).unwrap_or_else(|| {
-                    format!("declare it: `.decl {name}(...)`, or include the file that declares it")
+                    format!(
+                        "declare it: `.decl {name}(...)`, with `.input {name}` if its facts are given, or include the \
+                         file that declares it"
+                    )
                 })),
             };
             faults.push(fault);

@@ -192,6 +192,10 @@ impl<const W: usize> Commit<'_, W> {
     }
 }
 
+/// Maintenance of a recursive stratum stops if one of so many rows may be lost: each lost row is looked up, checked
+/// and derived again, which costs more than to derive all anew.
+const LOST_PARTS: usize = 8;
+
 impl<const W: usize> State<W> {
     fn new(compiled: &Compiled) -> Self {
         let rules = &compiled.rules;
@@ -426,7 +430,14 @@ impl<const W: usize> State<W> {
             if let Some(budget) = budget.map(|budget| budget.min(quota.steps)) {
                 self.adapt(commit, (stratum, number), Aim::Maintain);
                 let mut meter = Meter::new(budget, symbol_bytes, commit.options, workers);
-                match self.maintain(commit, stratum, quota, &mut meter) {
+                let lost_max = match strategy {
+                    Strategy::Maintain => usize::MAX,
+                    _ if !stratum.recursive => usize::MAX,
+                    _ => {
+                        (stratum.members.iter().map(|&member| self.len(member)).sum::<usize>() / LOST_PARTS).max(1_000)
+                    }
+                };
+                match self.maintain(commit, stratum, lost_max, quota, &mut meter) {
                     Ok((deltas, rounds)) => {
                         for (&predicate, delta) in stratum.members.iter().zip(deltas) {
                             if !delta.is_empty() {

@@ -518,7 +518,7 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
         Term::Constant(value) => match base {
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => crate::value::print_float(value.as_float()),
+            BaseType::Float => crate::value::shortest_float(value.as_float()),
             BaseType::Record => record_text(value, &rules.symbols),
             BaseType::Symbol => quoted(rules.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
         },
