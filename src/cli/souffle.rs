@@ -1,5 +1,6 @@
 //! The options of Soufflé with which commands read programs.
 
+use crate::datalog::symbol::WordSize;
 use crate::datalog::{InputPolicy, Preprocessing, Workspace};
 use std::path::PathBuf;
 
@@ -19,6 +20,10 @@ pub struct SouffleOptions {
     /// forms cause no warning
     #[arg(long)]
     legacy: bool,
+    /// The bits of `number`, `unsigned` and `float`: 64 as in a Soufflé built with `SOUFFLE_DOMAIN_64BIT`. Takes more
+    /// memory and time for numbers that are negative or above 2^31
+    #[arg(long, value_name = "BITS", default_value = "32", value_parser = ["32", "64"])]
+    word_size: String,
 }
 
 impl SouffleOptions {
@@ -27,6 +32,10 @@ impl SouffleOptions {
         let mut workspace = Workspace::new(inputs);
         workspace.set_preprocessing(self.preprocessing());
         workspace.set_legacy(self.legacy);
+        workspace.set_word_size(match self.word_size.as_str() {
+            "64" => WordSize::Bits64,
+            _ => WordSize::Bits32,
+        });
         workspace
     }
 

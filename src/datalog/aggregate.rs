@@ -4,7 +4,7 @@
 //! Parts of the values can be aggregated apart, for example on several threads, and merged. Neither the order of the
 //! values nor the division into parts has an effect, not even for floats: [`ExactSum`] adds without rounding.
 
-use crate::symbol::Symbols;
+use crate::symbol::{Symbols, WordSize};
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::AggregateOp;
 use crate::value::{self, Value};
@@ -25,12 +25,48 @@ impl AggregateOp {
     /// `base` is the base type of the values. [`AggregateOp::Count`] accepts values of any type. The order of the
     /// values has no effect, not even for floats.
     pub fn of(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
+        if symbols.word_size() == WordSize::Bits64 && matches!(self, AggregateOp::Sum | AggregateOp::Mean) {
+            return self.of_long(base, values, symbols);
+        }
         let mut partial = Partial::default();
         match self {
             AggregateOp::Count => partial.count = values.count() as u64,
             _ => values.for_each(|value| partial.add(self, base, value, symbols)),
         }
         partial.finish(self, base)
+    }
+}
+
+impl AggregateOp {
+    /// Returns the sum or the mean of numbers of 64 bits. Floats are added from the least to the greatest.
+    #[allow(
+        clippy::cast_possible_truncation,
+        clippy::cast_precision_loss,
+        clippy::cast_sign_loss
+    )]
+    fn of_long(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
+        if base == BaseType::Float {
+            let mut all: Vec<f64> = values.map(|value| value.to_float(symbols)).collect();
+            all.sort_unstable_by(f64::total_cmp);
+            let sum: f64 = all.iter().sum();
+            return match self {
+                AggregateOp::Mean => (!all.is_empty()).then(|| Value::of_float(sum / all.len() as f64, symbols)),
+                _ => Some(Value::of_float(sum, symbols)),
+            };
+        }
+        let (mut count, mut sum) = (0_u32, 0_i128);
+        for value in values {
+            count += 1;
+            sum += match base {
+                BaseType::Unsigned => value.to_unsigned(symbols).into(),
+                _ => i128::from(value.to_number(symbols)),
+            };
+        }
+        match self {
+            AggregateOp::Mean => (count > 0).then(|| Value::of_float(sum as f64 / f64::from(count), symbols)),
+            // The sum wraps around.
+            _ => Some(Value(symbols.intern_bits(sum as u64))),
+        }
     }
 }
 

@@ -4,7 +4,7 @@ use std::fmt;
 
 use crate::check::{Column, Predicate, PredicateId, Rules, Type, TypeId};
 use crate::diag::{counted, did_you_mean};
-use crate::symbol::{Symbol, Symbols};
+use crate::symbol::{Interning, Symbol, Symbols, WordSize};
 use crate::syntax::functor::BaseType;
 use crate::value::{Value, WHOLE, print_record};
 
@@ -58,7 +58,7 @@ impl AsPredicate for &String {
 pub trait ToValue {
     /// Returns the word of the value in a column, or `None` if it does not fit. `symbol` maps a string to its symbol.
     #[doc(hidden)]
-    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value>;
+    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value>;
 
     /// Returns the text of a record.
     #[doc(hidden)]
@@ -82,7 +82,7 @@ pub trait ToValue {
 }
 
 impl ToValue for Value {
-    fn to_value(&self, _: BaseType, _: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+    fn to_value(&self, _: BaseType, _: &Interning<'_>) -> Option<Value> {
         Some(*self)
     }
 
@@ -99,12 +99,8 @@ impl ToValue for Value {
 macro_rules! whole_numbers {
     ($($number:ty),*) => {
         $(impl ToValue for $number {
-            fn to_value(&self, base: BaseType, _: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
-                match base {
-                    BaseType::Number => i32::try_from(*self).ok().map(Value::number),
-                    BaseType::Unsigned => u32::try_from(*self).ok().map(Value),
-                    BaseType::Float | BaseType::Symbol | BaseType::Record => None,
-                }
+            fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+                words.whole(base, *self as i128)
             }
 
             fn describe(&self) -> String {
@@ -117,8 +113,8 @@ macro_rules! whole_numbers {
 whole_numbers!(i8, i16, i32, i64, isize, u8, u16, u32, u64, usize);
 
 impl ToValue for f32 {
-    fn to_value(&self, base: BaseType, _: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
-        (base == BaseType::Float).then(|| Value::float(*self))
+    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+        f64::from(*self).to_value(base, words)
     }
 
     fn describe(&self) -> String {
@@ -127,10 +123,9 @@ impl ToValue for f32 {
 }
 
 impl ToValue for f64 {
-    /// Rounds to single precision.
-    #[allow(clippy::cast_possible_truncation)]
-    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
-        (*self as f32).to_value(base, symbol)
+    /// Rounds to the precision of the program.
+    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+        (base == BaseType::Float).then(|| words.float(*self))?
     }
 
     fn describe(&self) -> String {
@@ -139,9 +134,9 @@ impl ToValue for f64 {
 }
 
 impl ToValue for str {
-    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
+    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
         match base {
-            BaseType::Symbol => symbol(self).map(|symbol| Value(symbol.0)),
+            BaseType::Symbol => words.symbol(self).map(|symbol| Value(symbol.0)),
             BaseType::Number | BaseType::Unsigned | BaseType::Float | BaseType::Record => None,
         }
     }
@@ -156,8 +151,8 @@ impl ToValue for str {
 }
 
 impl ToValue for String {
-    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
-        self.as_str().to_value(base, symbol)
+    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+        self.as_str().to_value(base, words)
     }
 
     fn text(&self) -> Option<&str> {
@@ -170,8 +165,8 @@ impl ToValue for String {
 }
 
 impl<T: ToValue + ?Sized> ToValue for &T {
-    fn to_value(&self, base: BaseType, symbol: &dyn Fn(&str) -> Option<Symbol>) -> Option<Value> {
-        (**self).to_value(base, symbol)
+    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+        (**self).to_value(base, words)
     }
 
     fn text(&self) -> Option<&str> {
@@ -238,7 +233,7 @@ pub trait FromValue<'s>: Sized {
     const NAME: &'static str;
 
     #[doc(hidden)]
-    fn reads(base: BaseType) -> bool;
+    fn reads(base: BaseType, size: WordSize) -> bool;
 
     #[doc(hidden)]
     fn from_value(value: Value, base: BaseType, symbols: &'s Symbols) -> Self;
@@ -249,8 +244,8 @@ macro_rules! columns {
         $(impl<'s> FromValue<'s> for $ty {
             const NAME: &'static str = $name;
 
-            fn reads(base: BaseType) -> bool {
-                matches!(base, $pattern)
+            fn reads(base: BaseType, size: WordSize) -> bool {
+                matches!((base, size), $pattern)
             }
 
             #[inline]
@@ -263,16 +258,19 @@ macro_rules! columns {
 
 columns! {
     Value: "any type", _, |value, _base, _symbols| value;
-    i32: "type number", BaseType::Number, |value, _base, _symbols| value.as_number();
-    u32: "type unsigned", BaseType::Unsigned, |value, _base, _symbols| value.0;
-    i64: "type number or unsigned", BaseType::Number | BaseType::Unsigned, |value, base, _symbols| match base {
-        BaseType::Unsigned => value.0.into(),
-        _ => value.as_number().into(),
-    };
-    f32: "type float", BaseType::Float, |value, _base, _symbols| value.as_float();
-    f64: "type float", BaseType::Float, |value, _base, _symbols| value.as_float().into();
-    &'s str: "type symbol", BaseType::Symbol, |value, _base, symbols| symbols.resolve(Symbol(value.0)).unwrap_or_default();
-    String: "type symbol or a record", BaseType::Symbol | BaseType::Record, |value, base, symbols| match base {
+    i32: "type number", (BaseType::Number, WordSize::Bits32), |value, _base, _symbols| value.as_number();
+    u32: "type unsigned", (BaseType::Unsigned, WordSize::Bits32), |value, _base, _symbols| value.0;
+    i64: "type number or unsigned",
+        (BaseType::Number, _) | (BaseType::Unsigned, WordSize::Bits32),
+        |value, base, symbols| match base {
+            BaseType::Unsigned => value.0.into(),
+            _ => value.to_number(symbols),
+        };
+    u64: "type unsigned", (BaseType::Unsigned, _), |value, _base, symbols| value.to_unsigned(symbols);
+    f32: "type float", (BaseType::Float, WordSize::Bits32), |value, _base, _symbols| value.as_float();
+    f64: "type float", (BaseType::Float, _), |value, _base, symbols| value.to_float(symbols);
+    &'s str: "type symbol", (BaseType::Symbol, _), |value, _base, symbols| symbols.resolve(Symbol(value.0)).unwrap_or_default();
+    String: "type symbol or a record", (BaseType::Symbol | BaseType::Record, _), |value, base, symbols| match base {
         BaseType::Record => {
             let mut text = String::new();
             print_record(value, symbols, WHOLE, false, &mut text);
@@ -286,15 +284,15 @@ columns! {
 pub trait FromRow<'s>: Sized {
     /// Checks that rows of the predicate can be read.
     #[doc(hidden)]
-    fn check(predicate: &Predicate) -> Result<(), RowError>;
+    fn check(predicate: &Predicate, size: WordSize) -> Result<(), RowError>;
 
     #[doc(hidden)]
     fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self;
 }
 
 impl<'s, T: FromValue<'s>> FromRow<'s> for Vec<T> {
-    fn check(predicate: &Predicate) -> Result<(), RowError> {
-        (0..predicate.arity()).try_for_each(|column| check_column::<T>(predicate, column))
+    fn check(predicate: &Predicate, size: WordSize) -> Result<(), RowError> {
+        (0..predicate.arity()).try_for_each(|column| check_column::<T>(predicate, column, size))
     }
 
     fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self {
@@ -306,9 +304,9 @@ impl<'s, T: FromValue<'s>> FromRow<'s> for Vec<T> {
 }
 
 impl<'s, T: FromValue<'s>, const N: usize> FromRow<'s> for [T; N] {
-    fn check(predicate: &Predicate) -> Result<(), RowError> {
+    fn check(predicate: &Predicate, size: WordSize) -> Result<(), RowError> {
         check_arity(predicate, N)?;
-        Vec::<T>::check(predicate)
+        Vec::<T>::check(predicate, size)
     }
 
     fn from_row(row: &'s [Value], columns: &[Column], symbols: &'s Symbols) -> Self {
@@ -326,9 +324,9 @@ macro_rules! tuples {
             }
 
             impl<'s, $($name: FromValue<'s>),*> FromRow<'s> for ($($name,)*) {
-                fn check(predicate: &Predicate) -> Result<(), RowError> {
+                fn check(predicate: &Predicate, size: WordSize) -> Result<(), RowError> {
                     check_arity(predicate, [$(stringify!($name)),*].len())?;
-                    $(check_column::<$name>(predicate, $at)?;)*
+                    $(check_column::<$name>(predicate, $at, size)?;)*
                     Ok(())
                 }
 
@@ -369,7 +367,7 @@ impl IntoRow for () {
 }
 
 impl<'s> FromRow<'s> for () {
-    fn check(predicate: &Predicate) -> Result<(), RowError> {
+    fn check(predicate: &Predicate, _: WordSize) -> Result<(), RowError> {
         check_arity(predicate, 0)
     }
 
@@ -377,15 +375,18 @@ impl<'s> FromRow<'s> for () {
     fn from_row(_: &'s [Value], _: &[Column], _: &'s Symbols) -> Self {}
 }
 
-fn check_column<'s, T: FromValue<'s>>(predicate: &Predicate, column: usize) -> Result<(), RowError> {
+fn check_column<'s, T: FromValue<'s>>(predicate: &Predicate, column: usize, size: WordSize) -> Result<(), RowError> {
     let Column { name, base, .. } = &predicate.columns[column];
-    match T::reads(*base) {
+    match T::reads(*base, size) {
         true => Ok(()),
         false => Err(RowError::ColumnType {
             predicate: predicate.name.clone(),
             column: name.clone(),
             base: *base,
-            expected: T::NAME,
+            expected: match T::reads(*base, WordSize::Bits32) && size == WordSize::Bits64 {
+                true => "i64, u64 or f64, since numbers have 64 bits",
+                false => T::NAME,
+            },
         }),
     }
 }
@@ -421,11 +422,11 @@ pub(crate) fn word_of(
     value: &dyn ToValue,
     (ty, base): (TypeId, BaseType),
     types: &[Type],
-    symbol: &dyn Fn(&str) -> Option<Symbol>,
+    words: &Interning<'_>,
 ) -> Option<Value> {
     match (base, value.text()) {
-        (BaseType::Record, Some(text)) => read(text, ty, types, symbol).ok(),
-        _ => value.to_value(base, symbol),
+        (BaseType::Record, Some(text)) => read(text, ty, types, words).ok(),
+        _ => value.to_value(base, words),
     }
 }
 
@@ -434,13 +435,13 @@ pub(crate) fn encode(
     predicate: &Predicate,
     row: &impl IntoRow,
     types: &[Type],
-    symbol: &dyn Fn(&str) -> Option<Symbol>,
+    interning: &Interning<'_>,
     words: &mut Vec<Value>,
 ) -> Result<(), RowError> {
     let values = row.values();
     check_arity(predicate, values.len())?;
     for (value, column) in values.into_iter().zip(&predicate.columns) {
-        let word = word_of(value, (column.ty, column.base), types, symbol);
+        let word = word_of(value, (column.ty, column.base), types, interning);
         let word = word.ok_or_else(|| RowError::ValueType {
             predicate: predicate.name.clone(),
             column: column.name.clone(),

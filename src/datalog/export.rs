@@ -14,6 +14,7 @@ pub use sql::sql;
 use crate::check::{Clause, Literal, Predicate, PredicateId, Rules};
 use crate::codes;
 use crate::diag::{Diagnostic, Faults, Span};
+use crate::symbol::WordSize;
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::{Functor, Shape};
 
@@ -87,6 +88,19 @@ fn argument_base(functor: Functor, base: BaseType, at: usize) -> BaseType {
     match functor.shape() {
         Shape::Fixed(arguments, _) => arguments.get(at).copied().unwrap_or(base),
         _ => base,
+    }
+}
+
+/// Refuses programs with numbers of 64 bits.
+fn refuse_long(rules: &Rules) -> Result<(), Vec<Diagnostic>> {
+    match rules.symbols.word_size() {
+        WordSize::Bits32 => Ok(()),
+        WordSize::Bits64 => {
+            let message = "programs with numbers of 64 bits are not exported";
+            Err(vec![
+                Diagnostic::new(codes::UNSUPPORTED, message).help("omit `--word-size 64`"),
+            ])
+        }
     }
 }
 

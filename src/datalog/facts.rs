@@ -10,9 +10,9 @@ use crate::codes;
 use crate::convert::read;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span, counted};
 use crate::session::Session;
-use crate::symbol::Symbol;
+use crate::symbol::{Interning, Symbol};
 use crate::syntax::ast::BaseType;
-use crate::value::{self, Value, parse as parse_value, print_float, print_record};
+use crate::value::{self, Value, number_text, parse_in, print_record};
 use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::io::{self, Write};
@@ -305,7 +305,13 @@ fn parse_record(session: &Session, column: &Column, text: &str, format: &RowForm
     let types = &session.program().rules().types;
     let symbol = |text: &str| Some(session.symbols().intern(text));
     let unquoted = unquoted(text, format);
-    read(&unquoted, column.ty, types, &symbol).map_err(|fault| {
+    read(
+        &unquoted,
+        column.ty,
+        types,
+        &Interning::new(&symbol, session.symbols().word_size()),
+    )
+    .map_err(|fault| {
         let at = fault.at + usize::from(unquoted.len() < text.len());
         (at, format!("expected {}", fault.expected.unwrap_or_default()))
     })
@@ -315,7 +321,7 @@ fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat)
     let text = unquoted(text, format);
     match column.base {
         BaseType::Symbol => Some(session.intern(&text)),
-        base => parse_value(base, text.trim_start_matches(' ')),
+        base => parse_in(base, text.trim_start_matches(' '), session.symbols()),
     }
 }
 
@@ -379,9 +385,7 @@ fn compare(session: &Session, predicate: &Predicate, a: &[Value], b: &[Value]) -
 pub fn print_value(session: &Session, word: Value, base: BaseType) -> String {
     match base {
         BaseType::Symbol => session.symbols().resolve(Symbol(word.0)).unwrap_or_default().to_owned(),
-        BaseType::Number => word.as_number().to_string(),
-        BaseType::Unsigned => word.0.to_string(),
-        BaseType::Float => print_float(word.as_float()),
+        BaseType::Number | BaseType::Unsigned | BaseType::Float => number_text(base, word, session.symbols()),
         BaseType::Record => {
             let mut text = String::new();
             print_record(word, session.symbols(), value::WHOLE, false, &mut text);
@@ -410,9 +414,11 @@ pub fn write_rows(session: &Session, id: PredicateId, format: &RowFormat, out: &
             match column.base {
                 BaseType::Symbol if format.quoted => write!(out, "\"{}\"", text(*value).replace('"', "\"\""))?,
                 BaseType::Symbol => out.write_all(text(*value).as_bytes())?,
-                BaseType::Number => write!(out, "{}", value.as_number())?,
-                BaseType::Unsigned => write!(out, "{}", value.0)?,
-                BaseType::Float => out.write_all(print_float(value.as_float()).as_bytes())?,
+                BaseType::Number => write!(out, "{}", value.to_number(session.symbols()))?,
+                BaseType::Unsigned => write!(out, "{}", value.to_unsigned(session.symbols()))?,
+                BaseType::Float => {
+                    out.write_all(number_text(column.base, *value, session.symbols()).as_bytes())?;
+                }
                 BaseType::Record => {
                     let text = record_text(session, predicate, *value)?;
                     match format.quoted {

@@ -181,7 +181,7 @@ pub use syntax::functor::{AggregateOp, Functor};
 pub use syntax::{
     DIRECTIVES, FULL_STOP, Parsed, Preprocessing, TokenKind, format, is_name, parse, print, quoted, tokens,
 };
-pub use value::{Patterns, Value, parse as parse_value, print_float, shortest_float};
+pub use value::{Patterns, Value, parse as parse_value, parse_in, print_float, shortest_float};
 pub use workspace::{Declaration, FactPattern, FactRow, Loaded, Workspace, is_complete, load, load_with};
 
 /// What the crate `logicity` shares with the engine. No part of the interface: it may change in any version.
@@ -192,7 +192,7 @@ pub mod internal {
     pub use crate::convert::{record_of_text, record_word};
     pub use crate::eval::limits::size;
     pub use crate::spans::Spans;
-    pub use crate::value::{NIL, record_fields, record_source, shortened, whole_record};
+    pub use crate::value::{NIL, record_fields, record_source, shortened, shown_number, whole_record};
 
     pub mod threads {
         pub use crate::threads::{Pool, start};

@@ -376,12 +376,13 @@ fn value(term: &Term, known: &Binding) -> Option<Value> {
 fn compare(op: Comparison, left: Value, right: Value, base: BaseType, symbols: &Symbols) -> bool {
     let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
     let less = |left: Value, right: Value| match base {
-        BaseType::Number => left.as_number() < right.as_number(),
+        BaseType::Number => left.to_number(symbols) < right.to_number(symbols),
         BaseType::Symbol => text(left) < text(right),
-        BaseType::Unsigned | BaseType::Record => left.0 < right.0,
-        BaseType::Float => left.as_float() < right.as_float(),
+        BaseType::Unsigned => left.to_unsigned(symbols) < right.to_unsigned(symbols),
+        BaseType::Record => left.0 < right.0,
+        BaseType::Float => left.to_float(symbols) < right.to_float(symbols),
     };
-    let nan = base == BaseType::Float && (left.as_float().is_nan() || right.as_float().is_nan());
+    let nan = base == BaseType::Float && [left, right].iter().any(|value| value.to_float(symbols).is_nan());
     match op {
         Comparison::Equal => left == right,
         Comparison::NotEqual => left != right,

@@ -11,7 +11,7 @@ use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::Functor;
 use crate::syntax::{is_name, quoted};
-use crate::value::{Value, record_text, shortest_float};
+use crate::value::{Value, record_text, shown_number};
 
 impl Program {
     /// Returns the evaluation plan of every clause as text for readers. `sources` must be those of the rules.
@@ -375,9 +375,9 @@ impl Shown<'_> {
     fn show_value(&self, value: Value, base: BaseType) -> String {
         match base {
             BaseType::Symbol => quoted(self.compiled.rules.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
-            BaseType::Number => value.as_number().to_string(),
-            BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => shortest_float(value.as_float()),
+            BaseType::Number | BaseType::Unsigned | BaseType::Float => {
+                shown_number(base, value, &self.compiled.rules.symbols)
+            }
             BaseType::Record => record_text(value, &self.compiled.rules.symbols),
         }
     }

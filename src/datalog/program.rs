@@ -11,6 +11,7 @@ use crate::files::{ReadError, ReadFile};
 #[cfg(feature = "optimizer")]
 use crate::plan::optimize;
 use crate::plan::{Compiled, Plans};
+use crate::symbol::Interning;
 use crate::value::Value;
 use crate::workspace;
 
@@ -153,7 +154,7 @@ impl Program {
         let columns = declared.arguments.clone();
         let (ty, base, name) = (declared.result, declared.base, declared.name.clone());
         let shape = Predicate::made(name, columns.clone(), String::new(), declared.span);
-        A::check(&shape).map_err(|error| FunctorError::Arguments {
+        A::check(&shape, rules.symbols.word_size()).map_err(|error| FunctorError::Arguments {
             functor: functor.to_owned(),
             reason: error.to_string(),
         })?;
@@ -165,7 +166,12 @@ impl Program {
                     None => None,
                     Some(value) => {
                         let symbol = |text: &str| Some(symbols.intern(text));
-                        let word = word_of(&value, (ty, base), &types, &symbol);
+                        let word = word_of(
+                            &value,
+                            (ty, base),
+                            &types,
+                            &Interning::new(&symbol, symbols.word_size()),
+                        );
                         let misfit = || {
                             format!(
                                 "{} is no value of type `{}`",

@@ -15,7 +15,7 @@ use crate::eval::stats::{EvalEvent, EvalStats, Strategy};
 use crate::eval::workers::{Threads, Workers};
 use crate::history::History;
 use crate::program::Program;
-use crate::symbol::Symbols;
+use crate::symbol::{Interning, Symbols};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::Value;
 
@@ -159,7 +159,13 @@ impl Session {
             Some(words) => words,
             None => {
                 let symbol = |text: &str| Some(self.symbols.intern(text));
-                encode(predicate, row, &self.program.rules().types, &symbol, &mut encoded)?;
+                encode(
+                    predicate,
+                    row,
+                    &self.program.rules().types,
+                    &Interning::new(&symbol, self.symbols.word_size()),
+                    &mut encoded,
+                )?;
                 &encoded
             }
         };
@@ -218,9 +224,15 @@ impl Session {
                 Some(words) => check_words(predicate, words, self.symbols.len()).map(|()| words),
                 None => {
                     encoded.clear();
-                    encode(predicate, &row, types, &symbol, &mut encoded)
-                        .and_then(|()| check_words(predicate, &encoded, self.symbols.len()))
-                        .map(|()| encoded.as_slice())
+                    encode(
+                        predicate,
+                        &row,
+                        types,
+                        &Interning::new(&symbol, self.symbols.word_size()),
+                        &mut encoded,
+                    )
+                    .and_then(|()| check_words(predicate, &encoded, self.symbols.len()))
+                    .map(|()| encoded.as_slice())
                 }
             };
             let row = match row {
@@ -496,7 +508,13 @@ impl Session {
         }
         let mut words = Vec::new();
         let symbol = |text: &str| self.symbols.get(text);
-        let encoded = encode(predicate, &row, &self.program.rules().types, &symbol, &mut words);
+        let encoded = encode(
+            predicate,
+            &row,
+            &self.program.rules().types,
+            &Interning::new(&symbol, self.symbols.word_size()),
+            &mut words,
+        );
         encoded.is_ok() && self.store.contains(id, &words)
     }
 
@@ -549,7 +567,7 @@ impl Session {
         predicate: impl AsPredicate,
     ) -> Result<impl ExactSizeIterator<Item = T>, RowError> {
         let (id, predicate) = predicate.resolve(self.program.rules())?;
-        T::check(predicate)?;
+        T::check(predicate, self.symbols().word_size())?;
         let row = move |position| T::from_row(self.row(id, position), &predicate.columns, &self.symbols);
         Ok((0..self.len(id)).map(row))
     }
@@ -603,7 +621,7 @@ impl Session {
         rows: &'s Rows,
     ) -> Result<impl Iterator<Item = T>, RowError> {
         let (_, predicate) = predicate.resolve(self.program.rules())?;
-        T::check(predicate)?;
+        T::check(predicate, self.symbols().word_size())?;
         let columns = &predicate.columns;
         Ok(rows.iter().map(move |row| T::from_row(row, columns, &self.symbols)))
     }

@@ -27,7 +27,28 @@ pub struct Symbols {
     len: AtomicUsize,
     /// The approximate memory of all strings, in bytes.
     bytes: AtomicU64,
+    /// The size of the numbers that words stand for.
+    word_size: WordSize,
 }
+
+/// The size of `number`, `unsigned` and `float`.
+///
+/// A row has 32 bits for each column in both sizes. With 64 bits, a number below 2^31 is its own word, and any other is
+/// [interned](Symbols::intern_bits) like a string, which takes more memory and time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum WordSize {
+    /// `number` is an `i32`, `unsigned` a `u32`, `float` an `f32`.
+    #[default]
+    Bits32,
+    /// `number` is an `i64`, `unsigned` a `u64`, `float` an `f64`.
+    Bits64,
+}
+
+/// What begins the string of a number of 64 bits.
+const BITS: char = '\u{e001}';
+
+/// What distinguishes the word of an interned number.
+const INTERNED: u32 = 1 << 31;
 
 type Block = Box<[OnceLock<Arc<str>>]>;
 
@@ -40,6 +61,42 @@ const STRING_BYTES: u64 = 128;
 /// The number of blocks that hold 2^32 strings.
 const BLOCKS: usize = 27;
 
+fn text_of_bits(bits: u64) -> String {
+    format!("{BITS}{bits:016x}")
+}
+
+/// What gives words to values: it interns strings, or only finds those that are known.
+#[derive(Clone, Copy)]
+pub struct Interning<'a> {
+    symbol: &'a dyn Fn(&str) -> Option<Symbol>,
+    size: WordSize,
+}
+
+impl<'a> Interning<'a> {
+    /// Creates it from the function that maps strings, and the size of numbers.
+    pub fn new(symbol: &'a dyn Fn(&str) -> Option<Symbol>, size: WordSize) -> Self {
+        Interning { symbol, size }
+    }
+
+    /// Returns the size of numbers.
+    pub fn size(&self) -> WordSize {
+        self.size
+    }
+
+    /// Returns the symbol of a string.
+    pub fn symbol(&self, text: &str) -> Option<Symbol> {
+        (self.symbol)(text)
+    }
+
+    /// Returns the word of a number of 64 bits.
+    pub(crate) fn bits(&self, bits: u64) -> Option<u32> {
+        match u32::try_from(bits) {
+            Ok(small) if small < INTERNED => Some(small),
+            _ => self.symbol(&text_of_bits(bits)).map(|Symbol(id)| id | INTERNED),
+        }
+    }
+}
+
 /// Returns the block of a number and its index there.
 fn place(number: u32) -> (usize, usize) {
     let shifted = number as usize + FIRST_BLOCK;
@@ -51,6 +108,43 @@ impl Symbols {
     /// Creates an empty table.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Creates an empty table for numbers of this size.
+    pub fn of_words(word_size: WordSize) -> Self {
+        Symbols {
+            word_size,
+            ..Self::default()
+        }
+    }
+
+    /// Returns the size of the numbers that words stand for.
+    pub fn word_size(&self) -> WordSize {
+        self.word_size
+    }
+
+    /// Returns the word of a number of 64 bits.
+    pub(crate) fn intern_bits(&self, bits: u64) -> u32 {
+        match u32::try_from(bits) {
+            Ok(small) if small < INTERNED => small,
+            _ => {
+                let Symbol(id) = self.intern(&text_of_bits(bits));
+                assert!(id < INTERNED, "fewer than 2^31 strings");
+                id | INTERNED
+            }
+        }
+    }
+
+    /// Returns the number of 64 bits with this word; 0 if there is none.
+    pub(crate) fn bits(&self, word: u32) -> u64 {
+        if word < INTERNED {
+            return word.into();
+        }
+        let text = self.resolve(Symbol(word & !INTERNED)).unwrap_or_default();
+        let digits = text.strip_prefix(BITS).unwrap_or_default();
+        digits.bytes().fold(0, |bits, digit| {
+            bits << 4 | u64::from(char::from(digit).to_digit(16).unwrap_or_default())
+        })
     }
 
     /// Returns the symbol of a string; creates it if it is new.
@@ -122,7 +216,7 @@ fn symbol(index: usize) -> Symbol {
 
 impl Clone for Symbols {
     fn clone(&self) -> Self {
-        let copy = Symbols::new();
+        let copy = Symbols::of_words(self.word_size);
         for text in self.numbers.read().unwrap_or_else(PoisonError::into_inner).iter() {
             copy.intern(text);
         }

@@ -3,7 +3,8 @@
 //! A functor application may have no value (`1 / 0`, `to_number("x")`); then the literal that contains it does not
 //! hold. So an expression never fails, and the derived facts do not depend on the order of evaluation.
 //!
-//! Words have 32 bits: `number` and `unsigned` wrap around on overflow, `float` has single precision.
+//! Numbers have the [size](WordSize) of the table of symbols: `number` and `unsigned` wrap around on overflow, and `float`
+//! has single precision in 32 bits, double precision in 64.
 
 use std::borrow::Cow;
 use std::cmp::Ordering;
@@ -11,7 +12,7 @@ use std::collections::HashMap;
 
 use crate::chance;
 use crate::record;
-use crate::symbol::{Symbol, Symbols};
+use crate::symbol::{Interning, Symbol, Symbols, WordSize};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{Functor, Functor::*};
 use crate::syntax::quoted;
@@ -19,7 +20,8 @@ use crate::syntax::quoted;
 /// One 32-bit word of a row.
 ///
 /// The base type of the column determines the meaning: the id of a [`crate::symbol::Symbol`] for `symbol`, the bits of
-/// an `i32` for `number`, a `u32` for `unsigned`, the bits of an `f32` for `float`.
+/// an `i32` for `number`, a `u32` for `unsigned`, the bits of an `f32` for `float`. In programs with numbers of 64 bits,
+/// [`WordSize`] describes the words of `number`, `unsigned` and `float`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Value(pub u32);
 
@@ -45,13 +47,113 @@ impl Value {
     pub fn as_float(self) -> f32 {
         f32::from_bits(self.0)
     }
+
+    /// Returns the word for a number in a program with these symbols; `None` if it does not fit.
+    pub fn of_number(number: i64, symbols: &Symbols) -> Option<Self> {
+        match symbols.word_size() {
+            WordSize::Bits32 => i32::try_from(number).ok().map(Value::number),
+            WordSize::Bits64 => Some(Value(symbols.intern_bits(number.cast_unsigned()))),
+        }
+    }
+
+    /// Returns the word for an unsigned number in a program with these symbols; `None` if it does not fit.
+    pub fn of_unsigned(number: u64, symbols: &Symbols) -> Option<Self> {
+        match symbols.word_size() {
+            WordSize::Bits32 => u32::try_from(number).ok().map(Value),
+            WordSize::Bits64 => Some(Value(symbols.intern_bits(number))),
+        }
+    }
+
+    /// Returns the word for a float in a program with these symbols, rounded to its precision.
+    #[allow(clippy::cast_possible_truncation)]
+    pub fn of_float(x: f64, symbols: &Symbols) -> Self {
+        match symbols.word_size() {
+            WordSize::Bits32 => Value::float(x as f32),
+            WordSize::Bits64 => Value(symbols.intern_bits(canonical(x).to_bits())),
+        }
+    }
+
+    /// Returns the word as a number of a program with these symbols.
+    pub fn to_number(self, symbols: &Symbols) -> i64 {
+        match symbols.word_size() {
+            WordSize::Bits32 => self.as_number().into(),
+            WordSize::Bits64 => symbols.bits(self.0).cast_signed(),
+        }
+    }
+
+    /// Returns the word as an unsigned number of a program with these symbols.
+    pub fn to_unsigned(self, symbols: &Symbols) -> u64 {
+        match symbols.word_size() {
+            WordSize::Bits32 => self.0.into(),
+            WordSize::Bits64 => symbols.bits(self.0),
+        }
+    }
+
+    /// Returns the word as a float of a program with these symbols.
+    pub fn to_float(self, symbols: &Symbols) -> f64 {
+        match symbols.word_size() {
+            WordSize::Bits32 => self.as_float().into(),
+            WordSize::Bits64 => f64::from_bits(symbols.bits(self.0)),
+        }
+    }
+}
+
+impl Interning<'_> {
+    /// Returns the word of a whole number in a column of this base type; `None` if it does not fit.
+    pub fn whole(&self, base: BaseType, number: i128) -> Option<Value> {
+        match (base, self.size()) {
+            (BaseType::Number, WordSize::Bits32) => i32::try_from(number).ok().map(Value::number),
+            (BaseType::Unsigned, WordSize::Bits32) => u32::try_from(number).ok().map(Value),
+            (BaseType::Number, WordSize::Bits64) => {
+                let number = i64::try_from(number).ok()?;
+                self.bits(number.cast_unsigned()).map(Value)
+            }
+            (BaseType::Unsigned, WordSize::Bits64) => {
+                u64::try_from(number).ok().and_then(|bits| self.bits(bits)).map(Value)
+            }
+            _ => None,
+        }
+    }
+
+    /// Returns the word of a float, rounded to the precision.
+    #[allow(clippy::cast_possible_truncation)]
+    pub fn float(&self, x: f64) -> Option<Value> {
+        match self.size() {
+            WordSize::Bits32 => Some(Value::float(x as f32)),
+            WordSize::Bits64 => self.bits(canonical(x).to_bits()).map(Value),
+        }
+    }
+
+    /// Returns the word of the number with this text; `None` if the text does not fit the type.
+    pub fn parse(&self, base: BaseType, text: &str) -> Option<Value> {
+        match (self.size(), base) {
+            (WordSize::Bits32, _) => parse(base, text),
+            (_, BaseType::Float) => self.float(text.parse().ok()?),
+            (_, BaseType::Symbol | BaseType::Record) => None,
+            _ => match in_radix(text) {
+                Some(number) => self.whole(base, number),
+                None => {
+                    let digits = match base {
+                        BaseType::Unsigned => text.strip_suffix('u').unwrap_or(text),
+                        _ => text,
+                    };
+                    self.whole(base, digits.parse().ok()?)
+                }
+            },
+        }
+    }
+}
+
+/// Returns the float with one zero and one NaN.
+fn canonical(x: f64) -> f64 {
+    if x.is_nan() { f64::NAN } else { x + 0.0 }
 }
 
 impl Functor {
     /// Returns the maximum length in bytes of the symbol that [`Functor::apply`] creates; 0 if it creates none.
     pub(crate) fn symbol_length(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> u64 {
         /// The longest symbol of a number.
-        const NUMBER: u64 = 64;
+        const NUMBER: u64 = 400;
         let length = |value: &Value| symbols.resolve(Symbol(value.0)).map_or(0, str::len) as u64;
         match (self, arguments) {
             (Cat, parts) => parts.iter().map(length).sum(),
@@ -59,6 +161,7 @@ impl Functor {
             (Substring, [value, ..]) => length(value),
             (ToSymbol, _) => NUMBER,
             (Pack, parts) => record::bytes(parts.len()),
+            _ if symbols.word_size() == WordSize::Bits64 => BITS_LENGTH,
             _ => 0,
         }
     }
@@ -76,14 +179,14 @@ impl Functor {
             (Cast, [value]) => return Some(*value),
             (Pack, [shape, fields @ ..]) => return made(&record::encoded(shape.0, fields.iter().map(|field| field.0))),
             (Unpack, [shape, at, whole]) => return record::field(shape.0, at.0, whole.0, symbols).map(Value),
-            (Ordinal, [value]) => return Some(*value),
+            (Ordinal, [value]) => return Value::of_unsigned(value.0.into(), symbols),
             (Add, parts) if base == BaseType::Symbol => return made(&parts.iter().map(text).collect::<String>()),
             (Cat, parts) => return made(&parts.iter().map(text).collect::<String>()),
             (Length, [value]) => {
-                return i32::try_from(text(value).chars().count()).ok().map(Value::number);
+                return Value::of_number(text(value).chars().count() as i64, symbols);
             }
             (Substring, [value, from, length]) => {
-                let (from, length) = (from.as_number(), length.as_number());
+                let (from, length) = (from.to_number(symbols), length.to_number(symbols));
                 let Ok(from) = usize::try_from(from) else {
                     return made("");
                 };
@@ -94,14 +197,17 @@ impl Functor {
             (ToSymbol, [value]) => {
                 return match base {
                     BaseType::Symbol => Some(*value),
-                    BaseType::Number => made(&value.as_number().to_string()),
-                    BaseType::Unsigned => made(&value.0.to_string()),
-                    BaseType::Float => made(&format!("{:.6}", value.as_float())),
+                    BaseType::Number => made(&value.to_number(symbols).to_string()),
+                    BaseType::Unsigned => made(&value.to_unsigned(symbols).to_string()),
+                    BaseType::Float => made(&format!("{:.6}", value.to_float(symbols))),
                     BaseType::Record => None,
                 };
             }
-            (ToNumber | ToFloat | ToUnsigned, [value]) => return self.convert(base, *value, text(value)),
+            (ToNumber | ToFloat | ToUnsigned, [value]) => return self.convert(base, *value, symbols),
             _ => {}
+        }
+        if symbols.word_size() == WordSize::Bits64 && !matches!(base, BaseType::Symbol | BaseType::Record) {
+            return self.apply_to_long(base, arguments, symbols);
         }
         match base {
             BaseType::Symbol => {
@@ -123,7 +229,40 @@ impl Functor {
         }
     }
 
-    fn convert(self, base: BaseType, value: Value, text: &str) -> Option<Value> {
+    /// Applies an operation to numbers of 64 bits.
+    fn apply_to_long(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> Option<Value> {
+        match base {
+            BaseType::Number => {
+                let found = fold(
+                    arguments,
+                    |value| value.to_number(symbols),
+                    |all| self.long_numbers(all),
+                )?;
+                Value::of_number(found, symbols)
+            }
+            BaseType::Unsigned => {
+                let found = fold(
+                    arguments,
+                    |value| value.to_unsigned(symbols),
+                    |all| self.long_unsigned(all),
+                )?;
+                Value::of_unsigned(found, symbols)
+            }
+            _ => {
+                let found = fold(arguments, |value| value.to_float(symbols), |all| self.doubles(all))?;
+                Some(Value::of_float(found, symbols))
+            }
+        }
+    }
+
+    fn convert(self, base: BaseType, value: Value, symbols: &Symbols) -> Option<Value> {
+        let text = || {
+            symbols
+                .resolve(Symbol(value.0))
+                .unwrap_or_default()
+                .trim_matches(is_space)
+        };
+        let long = symbols.word_size() == WordSize::Bits64;
         #[allow(
             clippy::cast_possible_truncation,
             clippy::cast_precision_loss,
@@ -132,88 +271,111 @@ impl Functor {
         Some(match (self, base) {
             (ToNumber, BaseType::Number) | (ToUnsigned, BaseType::Unsigned) | (ToFloat, BaseType::Float) => value,
             (ToNumber, BaseType::Unsigned) | (ToUnsigned, BaseType::Number) => value,
+            (ToNumber, BaseType::Float) if long => Value::of_number(value.to_float(symbols) as i64, symbols)?,
+            (ToUnsigned, BaseType::Float) if long => Value::of_unsigned(value.to_float(symbols) as u64, symbols)?,
             (ToNumber, BaseType::Float) => Value::number(value.as_float() as i32),
             (ToUnsigned, BaseType::Float) => Value(value.as_float() as u32),
-            (ToFloat, BaseType::Number) => Value::float(value.as_number() as f32),
-            (ToFloat, BaseType::Unsigned) => Value::float(value.0 as f32),
-            (ToNumber, BaseType::Symbol) => parse(BaseType::Number, text.trim_matches(is_space))?,
-            (ToUnsigned, BaseType::Symbol) => parse(BaseType::Unsigned, text.trim_matches(is_space))?,
-            (ToFloat, BaseType::Symbol) => parse(BaseType::Float, text.trim_matches(is_space))?,
-            _ => return None,
-        })
-    }
-
-    fn numbers(self, operands: &[i32]) -> Option<i32> {
-        Some(match (self, operands) {
-            (Negate, &[a]) => a.wrapping_neg(),
-            (BitNot, &[a]) => !a,
-            (Not, &[a]) => i32::from(a == 0),
-            (Add, &[a, b]) => a.wrapping_add(b),
-            (Subtract, &[a, b]) => a.wrapping_sub(b),
-            (Multiply, &[a, b]) => a.wrapping_mul(b),
-            (Divide, &[a, b]) => (b != 0).then(|| a.wrapping_div(b))?,
-            (Remainder, &[a, b]) => (b != 0).then(|| a.wrapping_rem(b))?,
-            (Power, &[a, b]) => match (a, u32::try_from(b)) {
-                (a, Ok(exponent)) => a.wrapping_pow(exponent),
-                (1, _) => 1,
-                (-1, _) => 1 - 2 * (b & 1),
-                // A negative power of zero divides by zero.
-                (0, _) => return None,
-                _ => 0,
-            },
-            (BitAnd, &[a, b]) => a & b,
-            (BitOr, &[a, b]) => a | b,
-            (BitXor, &[a, b]) => a ^ b,
-            (ShiftLeft, &[a, b]) => a.wrapping_shl(b.cast_unsigned()),
-            (ShiftRight, &[a, b]) => a.wrapping_shr(b.cast_unsigned()),
-            (ShiftRightUnsigned, &[a, b]) => a.cast_unsigned().wrapping_shr(b.cast_unsigned()).cast_signed(),
-            (And, &[a, b]) => i32::from(a != 0 && b != 0),
-            (Or, &[a, b]) => i32::from(a != 0 || b != 0),
-            (Xor, &[a, b]) => i32::from((a != 0) != (b != 0)),
-            (Min, all) => all.iter().copied().min()?,
-            (Max, all) => all.iter().copied().max()?,
-            _ => return None,
-        })
-    }
-
-    fn unsigned(self, operands: &[u32]) -> Option<u32> {
-        Some(match (self, operands) {
-            (BitNot, &[a]) => !a,
-            (Not, &[a]) => u32::from(a == 0),
-            (Add, &[a, b]) => a.wrapping_add(b),
-            (Subtract, &[a, b]) => a.wrapping_sub(b),
-            (Multiply, &[a, b]) => a.wrapping_mul(b),
-            (Divide, &[a, b]) => a.checked_div(b)?,
-            (Remainder, &[a, b]) => a.checked_rem(b)?,
-            (Power, &[a, b]) => a.wrapping_pow(b),
-            (BitAnd, &[a, b]) => a & b,
-            (BitOr, &[a, b]) => a | b,
-            (BitXor, &[a, b]) => a ^ b,
-            (ShiftLeft, &[a, b]) => a.wrapping_shl(b),
-            (ShiftRight | ShiftRightUnsigned, &[a, b]) => a.wrapping_shr(b),
-            (And, &[a, b]) => u32::from(a != 0 && b != 0),
-            (Or, &[a, b]) => u32::from(a != 0 || b != 0),
-            (Xor, &[a, b]) => u32::from((a != 0) != (b != 0)),
-            (Min, all) => all.iter().copied().min()?,
-            (Max, all) => all.iter().copied().max()?,
-            _ => return None,
-        })
-    }
-
-    fn floats(self, operands: &[f32]) -> Option<f32> {
-        Some(match (self, operands) {
-            (Negate, &[a]) => -a,
-            (Add, &[a, b]) => a + b,
-            (Subtract, &[a, b]) => a - b,
-            (Multiply, &[a, b]) => a * b,
-            (Divide, &[a, b]) => a / b,
-            (Power, &[a, b]) => a.powf(b),
-            (Min, all) => all.iter().copied().reduce(f32::min)?,
-            (Max, all) => all.iter().copied().reduce(f32::max)?,
+            // Rounding twice, to double and then to single precision, gives the same: an `f64` holds each `i32`.
+            (ToFloat, BaseType::Number) => Value::of_float(value.to_number(symbols) as f64, symbols),
+            (ToFloat, BaseType::Unsigned) => Value::of_float(value.to_unsigned(symbols) as f64, symbols),
+            (ToNumber, BaseType::Symbol) => parse_in(BaseType::Number, text(), symbols)?,
+            (ToUnsigned, BaseType::Symbol) => parse_in(BaseType::Unsigned, text(), symbols)?,
+            (ToFloat, BaseType::Symbol) => parse_in(BaseType::Float, text(), symbols)?,
             _ => return None,
         })
     }
 }
+
+/// Implements the operations on signed, unsigned and floating-point numbers of one size.
+macro_rules! operations {
+    ($signed:ident: $int:ty, $unsigned:ident: $uint:ty, $floating:ident: $float:ty) => {
+        impl Functor {
+            fn $signed(self, operands: &[$int]) -> Option<$int> {
+                Some(match (self, operands) {
+                    (Negate, &[a]) => a.wrapping_neg(),
+                    (BitNot, &[a]) => !a,
+                    (Not, &[a]) => <$int>::from(a == 0),
+                    (Add, &[a, b]) => a.wrapping_add(b),
+                    (Subtract, &[a, b]) => a.wrapping_sub(b),
+                    (Multiply, &[a, b]) => a.wrapping_mul(b),
+                    (Divide, &[a, b]) => (b != 0).then(|| a.wrapping_div(b))?,
+                    (Remainder, &[a, b]) => (b != 0).then(|| a.wrapping_rem(b))?,
+                    (Power, &[a, b]) => match (a, <$uint>::try_from(b)) {
+                        (a, Ok(exponent)) => Power.$unsigned(&[a.cast_unsigned(), exponent])?.cast_signed(),
+                        (1, _) => 1,
+                        (-1, _) => 1 - 2 * (b & 1),
+                        // A negative power of zero divides by zero.
+                        (0, _) => return None,
+                        _ => 0,
+                    },
+                    (BitAnd, &[a, b]) => a & b,
+                    (BitOr, &[a, b]) => a | b,
+                    (BitXor, &[a, b]) => a ^ b,
+                    (ShiftLeft, &[a, b]) => a.wrapping_shl(b as u32),
+                    (ShiftRight, &[a, b]) => a.wrapping_shr(b as u32),
+                    (ShiftRightUnsigned, &[a, b]) => a.cast_unsigned().wrapping_shr(b as u32).cast_signed(),
+                    (And, &[a, b]) => <$int>::from(a != 0 && b != 0),
+                    (Or, &[a, b]) => <$int>::from(a != 0 || b != 0),
+                    (Xor, &[a, b]) => <$int>::from((a != 0) != (b != 0)),
+                    (Min, all) => all.iter().copied().min()?,
+                    (Max, all) => all.iter().copied().max()?,
+                    _ => return None,
+                })
+            }
+
+            fn $unsigned(self, operands: &[$uint]) -> Option<$uint> {
+                Some(match (self, operands) {
+                    (BitNot, &[a]) => !a,
+                    (Not, &[a]) => <$uint>::from(a == 0),
+                    (Add, &[a, b]) => a.wrapping_add(b),
+                    (Subtract, &[a, b]) => a.wrapping_sub(b),
+                    (Multiply, &[a, b]) => a.wrapping_mul(b),
+                    (Divide, &[a, b]) => a.checked_div(b)?,
+                    (Remainder, &[a, b]) => a.checked_rem(b)?,
+                    (Power, &[a, b]) => {
+                        let (mut power, mut square, mut exponent): ($uint, $uint, $uint) = (1, a, b);
+                        while exponent > 0 {
+                            if exponent & 1 == 1 {
+                                power = power.wrapping_mul(square);
+                            }
+                            square = square.wrapping_mul(square);
+                            exponent >>= 1;
+                        }
+                        power
+                    }
+                    (BitAnd, &[a, b]) => a & b,
+                    (BitOr, &[a, b]) => a | b,
+                    (BitXor, &[a, b]) => a ^ b,
+                    (ShiftLeft, &[a, b]) => a.wrapping_shl(b as u32),
+                    (ShiftRight | ShiftRightUnsigned, &[a, b]) => a.wrapping_shr(b as u32),
+                    (And, &[a, b]) => <$uint>::from(a != 0 && b != 0),
+                    (Or, &[a, b]) => <$uint>::from(a != 0 || b != 0),
+                    (Xor, &[a, b]) => <$uint>::from((a != 0) != (b != 0)),
+                    (Min, all) => all.iter().copied().min()?,
+                    (Max, all) => all.iter().copied().max()?,
+                    _ => return None,
+                })
+            }
+
+            fn $floating(self, operands: &[$float]) -> Option<$float> {
+                Some(match (self, operands) {
+                    (Negate, &[a]) => -a,
+                    (Add, &[a, b]) => a + b,
+                    (Subtract, &[a, b]) => a - b,
+                    (Multiply, &[a, b]) => a * b,
+                    (Divide, &[a, b]) => a / b,
+                    (Power, &[a, b]) => a.powf(b),
+                    (Min, all) => all.iter().copied().reduce(<$float>::min)?,
+                    (Max, all) => all.iter().copied().reduce(<$float>::max)?,
+                    _ => return None,
+                })
+            }
+        }
+    };
+}
+
+operations!(numbers: i32, unsigned: u32, floats: f32);
+operations!(long_numbers: i64, long_unsigned: u64, doubles: f64);
 
 /// Returns the alternative that a draw chooses; [`chance`] describes the arguments.
 fn choose(arguments: &[Value], symbols: &Symbols) -> Option<Value> {
@@ -253,14 +415,17 @@ pub(crate) fn compare(base: BaseType, a: Value, b: Value, symbols: &Symbols) -> 
     match base {
         BaseType::Symbol if a == b => Ordering::Equal,
         BaseType::Symbol => text(a).cmp(text(b)),
-        BaseType::Number => a.as_number().cmp(&b.as_number()),
-        BaseType::Unsigned => a.cmp(&b),
-        BaseType::Float => a.as_float().total_cmp(&b.as_float()),
+        BaseType::Number => a.to_number(symbols).cmp(&b.to_number(symbols)),
+        BaseType::Unsigned => a.to_unsigned(symbols).cmp(&b.to_unsigned(symbols)),
+        BaseType::Float => a.to_float(symbols).total_cmp(&b.to_float(symbols)),
         BaseType::Record => record::compare(a.0, b.0, symbols, |kind, a, b| {
             compare(BaseType::of_kind(kind), Value(a), Value(b), symbols)
         }),
     }
 }
+
+/// The maximum length in bytes of the string of an interned number.
+const BITS_LENGTH: u64 = 24;
 
 /// The maximum length of a record or another text of a file in a message, in bytes.
 pub(crate) const MESSAGE: usize = 1000;
@@ -288,9 +453,9 @@ pub(crate) fn print_record(value: Value, symbols: &Symbols, limit: usize, source
     record::print(value.0, symbols, limit, out, |kind, word, out| {
         let value = Value(word);
         match BaseType::of_kind(kind) {
-            BaseType::Number => out.push_str(&value.as_number().to_string()),
-            BaseType::Unsigned => out.push_str(&value.0.to_string()),
-            BaseType::Float => out.push_str(&print_float(value.as_float())),
+            base @ (BaseType::Number | BaseType::Unsigned | BaseType::Float) => {
+                out.push_str(&number_text(base, value, symbols));
+            }
             BaseType::Symbol | BaseType::Record => {
                 let text = symbols.resolve(Symbol(word)).unwrap_or_default();
                 let special = |c: char| matches!(c, ',' | '[' | ']' | '(' | ')' | '"') || c.is_control();
@@ -355,32 +520,65 @@ fn fold<T: Copy + Default>(
     }
 }
 
-/// Parses a number, unsigned number or float; `None` if the text does not fit the type.
+/// Returns a number, unsigned number or float as files of rows show it.
+pub(crate) fn number_text(base: BaseType, value: Value, symbols: &Symbols) -> String {
+    match (base, symbols.word_size()) {
+        (BaseType::Number, _) => value.to_number(symbols).to_string(),
+        (BaseType::Float, WordSize::Bits32) => print_float(value.as_float()),
+        (BaseType::Float, WordSize::Bits64) => print_double(value.to_float(symbols), 17),
+        _ => value.to_unsigned(symbols).to_string(),
+    }
+}
+
+/// Returns a number, unsigned number or float as messages and proofs show it: a float as the shortest text that reads
+/// back.
+pub fn shown_number(base: BaseType, value: Value, symbols: &Symbols) -> String {
+    match (base, symbols.word_size()) {
+        (BaseType::Float, WordSize::Bits32) => shortest_float(value.as_float()),
+        (BaseType::Float, WordSize::Bits64) => {
+            let double = value.to_float(symbols);
+            print_double(double, digits(&format!("{double:e}")))
+        }
+        _ => number_text(base, value, symbols),
+    }
+}
+
+/// Parses a number, unsigned number or float of a program with these symbols; `None` if the text does not fit the type.
+pub fn parse_in(base: BaseType, text: &str, symbols: &Symbols) -> Option<Value> {
+    let symbol = |text: &str| Some(symbols.intern(text));
+    Interning::new(&symbol, symbols.word_size()).parse(base, text)
+}
+
+/// Parses a hexadecimal (`0x`) or binary (`0b`) number of up to 64 bits.
+fn in_radix(text: &str) -> Option<i128> {
+    let (sign, digits) = match text.strip_prefix('-') {
+        Some(digits) => (-1, digits),
+        None => (1, text),
+    };
+    let (digits, radix) = match digits.get(..2) {
+        Some("0x") => (&digits[2..], 16),
+        Some("0b") => (&digits[2..], 2),
+        _ => return None,
+    };
+    if digits.starts_with(['+', '-']) {
+        return None;
+    }
+    u64::from_str_radix(digits, radix)
+        .ok()
+        .map(|value| sign * i128::from(value))
+}
+
+/// Parses a number, unsigned number or float of 32 bits; `None` if the text does not fit the type.
 ///
 /// Whole numbers may be decimal, hexadecimal (`0x`) or binary (`0b`). Symbols and records always give `None`.
 pub fn parse(base: BaseType, text: &str) -> Option<Value> {
-    let radix = |text: &str| {
-        let (sign, digits) = match text.strip_prefix('-') {
-            Some(digits) => (-1, digits),
-            None => (1, text),
-        };
-        let (digits, radix) = match digits.get(..2) {
-            Some("0x") => (&digits[2..], 16),
-            Some("0b") => (&digits[2..], 2),
-            _ => return None,
-        };
-        if digits.starts_with(['+', '-']) {
-            return None;
-        }
-        i64::from_str_radix(digits, radix).ok().map(|value| sign * value)
-    };
     match base {
         BaseType::Symbol | BaseType::Record => None,
-        BaseType::Number => match radix(text) {
+        BaseType::Number => match in_radix(text) {
             Some(value) => i32::try_from(value).ok().map(Value::number),
             None => text.parse().ok().map(Value::number),
         },
-        BaseType::Unsigned => match radix(text) {
+        BaseType::Unsigned => match in_radix(text) {
             Some(value) => u32::try_from(value).ok().map(Value),
             None => text.strip_suffix('u').unwrap_or(text).parse().ok().map(Value),
         },
@@ -415,12 +613,13 @@ impl Comparison {
         let text = |value: Value| symbols.resolve(Symbol(value.0)).unwrap_or_default();
         // A NaN is neither less nor greater than any float.
         let order = || match base {
-            BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
+            BaseType::Number => Some(left.to_number(symbols).cmp(&right.to_number(symbols))),
             BaseType::Symbol if left == right => Some(Ordering::Equal),
             BaseType::Symbol => Some(text(left).cmp(text(right))),
             // Only the equality of records is in the language.
-            BaseType::Unsigned | BaseType::Record => Some(left.cmp(&right)),
-            BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
+            BaseType::Record => Some(left.cmp(&right)),
+            BaseType::Unsigned => Some(left.to_unsigned(symbols).cmp(&right.to_unsigned(symbols))),
+            BaseType::Float => left.to_float(symbols).partial_cmp(&right.to_float(symbols)),
         };
         match self {
             Comparison::Equal => left == right,
@@ -482,19 +681,23 @@ impl Patterns {
 ///
 /// Very small and very large numbers have an exponent.
 pub fn print_float(x: f32) -> String {
-    float_text(x, 9)
+    print_double(x.into(), 9)
 }
 
 /// Returns a float as the shortest text that reads back as the same float, for readers: `0.45`, where [`print_float`]
 /// returns `0.449999988`.
 pub fn shortest_float(x: f32) -> String {
-    let scientific = format!("{x:e}");
+    print_double(x.into(), digits(&format!("{x:e}")))
+}
+
+/// Returns the number of significant digits of a float in scientific notation.
+fn digits(scientific: &str) -> usize {
     let mantissa = scientific.split('e').next().unwrap_or_default();
-    float_text(x, mantissa.bytes().filter(u8::is_ascii_digit).count().max(1))
+    mantissa.bytes().filter(u8::is_ascii_digit).count().max(1)
 }
 
 /// Returns a float as text with so many significant digits, at least 1, without trailing zeros.
-fn float_text(x: f32, digits: usize) -> String {
+fn print_double(x: f64, digits: usize) -> String {
     if !x.is_finite() {
         return if x.is_nan() {
             "nan"
@@ -514,7 +717,8 @@ fn float_text(x: f32, digits: usize) -> String {
         true => digits.trim_end_matches('0').trim_end_matches('.').to_owned(),
         false => digits.to_owned(),
     };
-    if (-4..9).contains(&exponent) {
+    // The exponents at which C++ begins to write one, for nine digits.
+    if (-4..digits.max(9) as i32).contains(&exponent) {
         let decimals = usize::try_from(digits as i32 - 1 - exponent).unwrap_or_default();
         trim(&format!("{x:.decimals$}"))
     } else {

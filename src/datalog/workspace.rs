@@ -13,7 +13,7 @@ use std::collections::{HashMap, HashSet};
 use crate::codes;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span};
 use crate::files::ReadFile;
-use crate::symbol::{Symbol, Symbols};
+use crate::symbol::{Symbol, Symbols, WordSize};
 
 use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
@@ -158,6 +158,13 @@ impl Workspace {
         self.policy.inputs = inputs;
     }
 
+    /// Sets the size of numbers: 64 bits for programs that Soufflé compiles with `SOUFFLE_DOMAIN_64BIT`. Such programs have
+    /// no draws and no temporal operators. Call it before adding sources.
+    pub fn set_word_size(&mut self, size: WordSize) {
+        self.policy.word_size = size;
+        self.preprocessing.word_size = size;
+    }
+
     /// Sets whether the program is in the types of Soufflé's option `--legacy`: a head takes values of any type with the
     /// base type of its column. Forms of older versions then cause no warning.
     pub fn set_legacy(&mut self, legacy: bool) {
@@ -167,6 +174,7 @@ impl Workspace {
     /// Sets how the sources that are added from now on are preprocessed, and the folders of the files they include.
     pub fn set_preprocessing(&mut self, preprocessing: Preprocessing) {
         self.preprocessing = preprocessing;
+        self.preprocessing.word_size = self.policy.word_size;
     }
 
     /// Returns whether a predicate of this name is declared.
@@ -244,7 +252,13 @@ impl Workspace {
             complete: !(self.gathered.incomplete || self.instances.incomplete),
             offered: &self.gathered.offered,
         };
-        let (rules, compared) = check((items, facts), elsewhere, self.policy, Symbols::new(), &mut faults);
+        let (rules, compared) = check(
+            (items, facts),
+            elsewhere,
+            self.policy,
+            Symbols::of_words(self.policy.word_size),
+            &mut faults,
+        );
         let mut diagnostics = faults.finish();
         if self.policy.legacy {
             diagnostics.retain(|fault| fault.code != codes::OLD_FORM);
@@ -340,7 +354,7 @@ impl Workspace {
         if faults.failed() {
             return Err(faults.finish());
         }
-        let loaded = self.answer(&body, place, Symbols::new());
+        let loaded = self.answer(&body, place, Symbols::of_words(self.policy.word_size));
         let Some(rules) = loaded.rules else {
             return Err(loaded.diagnostics);
         };
@@ -388,7 +402,7 @@ impl Workspace {
             (Cow::Owned(items), Cow::Owned(FactRuns::default())),
             self.elsewhere(),
             self.policy,
-            Symbols::new(),
+            Symbols::of_words(self.policy.word_size),
             &mut faults,
         );
         let Some(rules) = rules else {
@@ -515,7 +529,12 @@ impl Workspace {
     fn bases(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<BaseType> {
         let items = self.asked(Vec::new(), clause.clone());
         let mut known = names::declare(&items, true, self.policy, faults);
-        let checked = clause::check((&items, &FactRuns::default()), &mut known, Symbols::new(), faults);
+        let checked = clause::check(
+            (&items, &FactRuns::default()),
+            &mut known,
+            Symbols::of_words(self.policy.word_size),
+            faults,
+        );
         known.report_unknown(&self.gathered.offered, faults);
         let base_of = |name: &&str| {
             checked.clauses.iter().find_map(|checked| {

@@ -1204,8 +1204,8 @@ fn leaf() -> impl Strategy<Value = ast::Term> {
     prop_oneof![
         4 => name().prop_map(ast::TermKind::Variable),
         1 => Just(ast::TermKind::Wildcard),
-        1 => (-4_294_967_295_i64..=4_294_967_295).prop_map(ast::TermKind::Number),
-        1 => any::<u32>().prop_map(ast::TermKind::Unsigned),
+        1 => (-i128::from(u64::MAX)..=i128::from(u64::MAX)).prop_map(ast::TermKind::Number),
+        1 => any::<u64>().prop_map(ast::TermKind::Unsigned),
         1 => "-?[0-9]{1,3}\\.[0-9]{1,3}(e[+-]?[0-9])?".prop_map(ast::TermKind::Float),
         1 => any::<String>().prop_map(ast::TermKind::Symbol),
     ]
@@ -1355,7 +1355,7 @@ fn item() -> impl Strategy<Value = ast::Item> {
         1 => proptest::collection::vec(any::<String>(), 1..3).prop_map(|words| {
             ast::Item::Pragma(ast::Pragma { words, place: place() })
         }),
-        1 => proptest::collection::vec((0..9_i64, proptest::collection::vec(0..9_i64, 0..3)), 1..3).prop_map(|orders| {
+        1 => proptest::collection::vec((0..9_i128, proptest::collection::vec(0..9_i128, 0..3)), 1..3).prop_map(|orders| {
             ast::Item::Plan(ast::Plan { orders, place: place() })
         }),
         1 => (0..ast::ConstraintKind::ALL.len(), name(), name()).prop_map(|(kind, one, other)| {

@@ -39,4 +39,5 @@ mod saved;
 mod shortcuts;
 mod souffle;
 mod temporal;
+mod word_size;
 mod written_program;

@@ -159,7 +159,11 @@ impl Peer {
             // It counts on standard error.
             Peer::Flowlog => of(
                 "sh".as_ref(),
-                &["-c".as_ref(), "exec \"$0\" -w 1 2>&1".as_ref(), folder.join("flowlog").as_ref()],
+                &[
+                    "-c".as_ref(),
+                    "exec \"$0\" -w 1 2>&1".as_ref(),
+                    folder.join("flowlog").as_ref(),
+                ],
             ),
             _ => of(&ours, &["once".as_ref(), name(self).as_ref(), name(case).as_ref()]),
         };

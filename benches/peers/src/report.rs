@@ -199,7 +199,9 @@ impl Results {
         let order = |row: &Value| Case::SUITE.iter().position(|case| row["case"] == name(*case));
         list.sort_by_key(order);
         let mut known = earlier["versions"].as_object().cloned().unwrap_or_default();
-        let new = versions.iter().map(|(name, version)| ((*name).to_owned(), json!(version)));
+        let new = versions
+            .iter()
+            .map(|(name, version)| ((*name).to_owned(), json!(version)));
         known.extend(new);
         let versions = known;
         let all = json!({ "versions": versions, "changes": CHANGES, "medians": list });

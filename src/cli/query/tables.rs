@@ -5,9 +5,9 @@ use crate::datalog::internal::{record_of_text, shortened, whole_record};
 use crate::datalog::{BaseType, Column, EvalError, PredicateId, Session, Value, facts};
 use crate::diag::Diagnostic;
 use crate::files::{Output, check_flat};
-use crate::symbol::Symbol;
+use crate::symbol::{Interning, Symbol, WordSize};
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
-use parquet::data_type::{ByteArray, ByteArrayType, FloatType, Int32Type};
+use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, FloatType, Int32Type, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
@@ -111,11 +111,16 @@ fn load_rows(session: &mut Session, id: PredicateId, file: File) -> Result<(), D
 
 /// Returns the word of a value, or a description of the value if it is not one of the column.
 fn word(session: &mut Session, column: &Column, field: &Field) -> Result<Value, String> {
+    let intern = |text: &str| Some(session.symbols().intern(text));
+    let words = Interning::new(&intern, session.symbols().word_size());
+    let float = |number: f64| {
+        let near = words.float(number)?;
+        let is_near = near.to_float(session.symbols()).is_finite() || !number.is_finite();
+        is_near.then_some(near)
+    };
     let number = |number: i128| match column.base {
-        BaseType::Number => i32::try_from(number).ok().map(Value::number),
-        BaseType::Unsigned => u32::try_from(number).ok().map(Value),
         BaseType::Float => float(number as f64),
-        BaseType::Symbol | BaseType::Record => None,
+        base => words.whole(base, number),
     };
     let word = match field {
         Field::Byte(value) => number((*value).into()),
@@ -129,11 +134,10 @@ fn word(session: &mut Session, column: &Column, field: &Field) -> Result<Value, 
         Field::Float16(value) if column.base == BaseType::Float => float((*value).into()),
         Field::Float(value) if column.base == BaseType::Float => float((*value).into()),
         Field::Double(value) if column.base == BaseType::Float => float(*value),
-        Field::Str(text) if column.base == BaseType::Symbol => Some(session.intern(text)),
+        Field::Str(text) if column.base == BaseType::Symbol => words.symbol(text).map(|Symbol(id)| Value(id)),
         Field::Str(text) if column.base == BaseType::Record => {
             let types = &session.program().rules().types;
-            let symbol = |text: &str| Some(session.symbols().intern(text));
-            record_of_text(text, column.ty, types, &symbol).ok()
+            record_of_text(text, column.ty, types, &words).ok()
         }
         _ => None,
     };
@@ -144,13 +148,6 @@ fn word(session: &mut Session, column: &Column, field: &Field) -> Result<Value, 
     })
 }
 
-/// Rounds to a 32-bit float, unless the number is out of range.
-#[expect(clippy::cast_possible_truncation, reason = "rounding is what is meant")]
-fn float(number: f64) -> Option<Value> {
-    let near = number as f32;
-    (near.is_finite() || !number.is_finite()).then(|| Value::float(near))
-}
-
 /// Writes the rows of a predicate as a table, in the order of text.
 pub fn write(session: &Session, id: PredicateId, output: &mut Output) -> io::Result<()> {
     let predicate = &session.program().rules().predicates[id.index()];
@@ -158,12 +155,17 @@ pub fn write(session: &Session, id: PredicateId, output: &mut Output) -> io::Res
         let message = format!("`{}` has no columns, and a Parquet table needs one", predicate.name);
         return Err(io::Error::other(message));
     }
+    let symbols = session.symbols();
+    let long = symbols.word_size() == WordSize::Bits64;
     let columns = predicate.columns.iter().map(|column| {
-        let (physical, logical) = match column.base {
-            BaseType::Number => (Physical::INT32, None),
-            BaseType::Unsigned => (Physical::INT32, Some(LogicalType::integer(32, false))),
-            BaseType::Float => (Physical::FLOAT, None),
-            BaseType::Symbol | BaseType::Record => (Physical::BYTE_ARRAY, Some(LogicalType::String)),
+        let (physical, logical) = match (column.base, long) {
+            (BaseType::Number, false) => (Physical::INT32, None),
+            (BaseType::Number, true) => (Physical::INT64, None),
+            (BaseType::Unsigned, false) => (Physical::INT32, Some(LogicalType::integer(32, false))),
+            (BaseType::Unsigned, true) => (Physical::INT64, Some(LogicalType::integer(64, false))),
+            (BaseType::Float, false) => (Physical::FLOAT, None),
+            (BaseType::Float, true) => (Physical::DOUBLE, None),
+            (BaseType::Symbol | BaseType::Record, _) => (Physical::BYTE_ARRAY, Some(LogicalType::String)),
         };
         let column = Type::primitive_type_builder(&column.name, physical)
             .with_repetition(Repetition::REQUIRED)
@@ -182,6 +184,14 @@ pub fn write(session: &Session, id: PredicateId, output: &mut Output) -> io::Res
             let mut writer = group.next_column()?.expect("as many as in the schema");
             let words = rows.iter().map(|row| row[at]);
             match column.base {
+                BaseType::Number | BaseType::Unsigned if long => {
+                    let values: Vec<i64> = words.map(|word| word.to_number(symbols)).collect();
+                    writer.typed::<Int64Type>().write_batch(&values, None, None)?
+                }
+                BaseType::Float if long => {
+                    let values: Vec<f64> = words.map(|word| word.to_float(symbols)).collect();
+                    writer.typed::<DoubleType>().write_batch(&values, None, None)?
+                }
                 BaseType::Number | BaseType::Unsigned => {
                     let values: Vec<i32> = words.map(Value::as_number).collect();
                     writer.typed::<Int32Type>().write_batch(&values, None, None)?

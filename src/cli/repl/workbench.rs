@@ -380,19 +380,22 @@ impl<'s> Workbench<'s> {
     fn written(&self, value: Value, base: BaseType, place: ast::Place) -> ast::TermKind {
         match base {
             BaseType::Symbol => ast::TermKind::Symbol(self.text(value).to_owned()),
-            BaseType::Number => ast::TermKind::Number(i64::from(value.as_number())),
-            BaseType::Unsigned => ast::TermKind::Unsigned(value.0),
+            BaseType::Number => ast::TermKind::Number(value.to_number(self.session.symbols()).into()),
+            BaseType::Unsigned => ast::TermKind::Unsigned(value.to_unsigned(self.session.symbols())),
             // The tree is only printed.
             BaseType::Record => ast::TermKind::Variable(record_source(value, self.session.symbols())),
-            BaseType::Float if value.as_float().is_finite() => {
-                ast::TermKind::Float(datalog::shortest_float(value.as_float()))
-            }
             BaseType::Float => {
-                let text = ast::Term {
-                    kind: ast::TermKind::Symbol(datalog::shortest_float(value.as_float())),
-                    place,
-                };
-                ast::TermKind::Functor(Functor::ToFloat, vec![text])
+                let text = datalog::internal::shown_number(base, value, self.session.symbols());
+                match value.to_float(self.session.symbols()).is_finite() {
+                    true => ast::TermKind::Float(text),
+                    false => {
+                        let text = ast::Term {
+                            kind: ast::TermKind::Symbol(text),
+                            place,
+                        };
+                        ast::TermKind::Functor(Functor::ToFloat, vec![text])
+                    }
+                }
             }
         }
     }

@@ -6,7 +6,7 @@ use crate::diag::Diagnostic;
 use crate::session::Session;
 use crate::symbol::Symbol;
 use crate::syntax::ast::BaseType;
-use crate::value::{Value, record_text, shortest_float};
+use crate::value::{Value, record_text, shown_number};
 use std::collections::HashSet;
 
 /// Maximum number of violations reported, one for each constraint.
@@ -104,9 +104,9 @@ fn shown(session: &Session, predicate: PredicateId, row: &[Value]) -> String {
         .iter()
         .zip(row)
         .map(|(column, value)| match column.base {
-            BaseType::Number => value.as_number().to_string(),
-            BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => shortest_float(value.as_float()),
+            base @ (BaseType::Number | BaseType::Unsigned | BaseType::Float) => {
+                shown_number(base, *value, session.symbols())
+            }
             BaseType::Record => record_text(*value, session.symbols()),
             BaseType::Symbol => format!("{:?}", session.symbols().resolve(Symbol(value.0)).unwrap_or_default()),
         });

@@ -154,7 +154,7 @@ fn has_aggregate(term: &Term) -> bool {
 fn alternatives(clause: &Clause, stream: u64, faults: &mut Faults) -> Vec<Clause> {
     let place = clause.heads.first().map_or(clause.place, |head| head.place);
     let term = |kind: TermKind| Term { kind, place };
-    let unsigned = |number: u64| term(TermKind::Unsigned(number as u32));
+    let unsigned = |number: u64| term(TermKind::Unsigned(number & u64::from(u32::MAX)));
     let [high, low] = ["high of chance", "low of chance"].map(|name| term(TermKind::Variable(name.to_owned())));
     let variables = variables(clause);
     if variables.len() > chance::VALUES_MAX {
@@ -196,7 +196,7 @@ fn alternatives(clause: &Clause, stream: u64, faults: &mut Faults) -> Vec<Clause
         let choice = Literal::Compare {
             op: Comparison::Equal,
             left: term(TermKind::Functor(Functor::Choose, arguments.clone())),
-            right: term(TermKind::Number(number)),
+            right: term(TermKind::Number(number.into())),
             place,
         };
         let drawn = Literal::Atom {

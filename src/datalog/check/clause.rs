@@ -145,10 +145,11 @@ fn packed_facts(
 fn constant_of(base: BaseType, constant: Constant<'_>, symbols: &Symbols) -> Option<Value> {
     match (base, constant) {
         (BaseType::Symbol, Constant::Symbol(text)) => Some(Value(symbols.intern(text).0)),
-        (BaseType::Number, Constant::Number(number)) => Some(Value::number(number)),
-        (BaseType::Unsigned, Constant::Number(number)) => u32::try_from(number).ok().map(Value),
-        #[allow(clippy::cast_precision_loss)]
-        (BaseType::Float, Constant::Number(number)) => Some(Value::float(number as f32)),
+        (BaseType::Number, Constant::Number(number)) => Value::of_number(number.into(), symbols),
+        (BaseType::Unsigned, Constant::Number(number)) => u64::try_from(number)
+            .ok()
+            .and_then(|number| Value::of_unsigned(number, symbols)),
+        (BaseType::Float, Constant::Number(number)) => Some(Value::of_float(number.into(), symbols)),
         _ => None,
     }
 }
@@ -197,7 +198,7 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
         for (version, order) in &plan.orders {
             let mut sorted = order.clone();
             sorted.sort_unstable();
-            if sorted.len() > count || !sorted.iter().copied().eq(1..=sorted.len() as i64) {
+            if sorted.len() > count || !sorted.iter().copied().eq(1..=sorted.len() as i128) {
                 let fault = Diagnostic::new(
                     codes::SYNTAX,
                     format!("version {version} does not list the clause's atoms"),

@@ -4,6 +4,7 @@ use std::hash::{BuildHasher, RandomState};
 
 use crate::codes;
 use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::symbol::WordSize;
 
 use crate::check::clauses::{Checked, Clauses};
 use crate::check::names::Names;
@@ -136,7 +137,8 @@ fn filled(all: &Clauses, names: &Names) -> Vec<bool> {
 const MAX_STEPS: usize = 10_000_000;
 
 /// Warns of clauses that duplicate another one, or that another one subsumes.
-pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
+pub(crate) fn redundant(clauses: &[Checked], size: WordSize, faults: &mut Faults) -> Comparing {
+    let theory = NoConstraints(size);
     let facts = Facts::new(clauses);
     for (fact, first) in facts.repeated() {
         report(
@@ -159,12 +161,10 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
     }
     let mut budget = Budget::new(MAX_STEPS);
     for group in by_head.into_values() {
-        let patterns: Vec<Pattern> = (group.iter())
-            .map(|clause| Pattern::new(clause, &NoConstraints))
-            .collect();
+        let patterns: Vec<Pattern> = (group.iter()).map(|clause| Pattern::new(clause, &theory)).collect();
         // Ignore the alternatives and heads of one source clause, which the checker split.
         let counts = |one: usize, other: usize| group[one].span != group[other].span;
-        for found in subsumption::redundant(&patterns, &NoConstraints, &mut budget, &counts) {
+        for found in subsumption::redundant(&patterns, &theory, &mut budget, &counts) {
             let code = match found.copy {
                 true => codes::DUPLICATE_CLAUSE,
                 false => codes::SUBSUMED_CLAUSE,

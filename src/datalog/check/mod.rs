@@ -38,7 +38,7 @@ pub(crate) mod temporal;
 pub(crate) mod witness;
 
 use crate::diag::Faults;
-use crate::symbol::Symbols;
+use crate::symbol::{Symbols, WordSize};
 use crate::syntax::ast;
 use crate::syntax::include::Offered;
 use crate::syntax::packed::FactRuns;
@@ -79,6 +79,8 @@ pub enum InputPolicy {
 pub(crate) struct Policy {
     /// Whether rules may derive `.input` predicates.
     pub inputs: InputPolicy,
+    /// The size of numbers.
+    pub word_size: WordSize,
     /// Whether a head takes values of any type with the base type of its column, as Soufflé does with `--legacy`.
     pub legacy: bool,
 }
@@ -105,6 +107,11 @@ pub(crate) fn check(
     let drawn = chance::lower(&written, faults);
     let without_chance = drawn.as_deref().unwrap_or(&written);
     let lowered = temporal::lower(without_chance, faults);
+    if policy.word_size == WordSize::Bits64 && (drawn.is_some() || lowered.is_some()) {
+        let what = if drawn.is_some() { "draws" } else { "temporal operators" };
+        let message = format!("programs with numbers of 64 bits have no {what}");
+        faults.push(crate::diag::Diagnostic::new(crate::codes::UNSUPPORTED, message).help("omit `--word-size 64`"));
+    }
     let without_time = lowered.as_ref().map_or(without_chance, |lowered| &lowered.items);
     let replaced = inline::replace(without_time, faults);
     let syntax_is_good = !faults.failed();
@@ -126,7 +133,7 @@ pub(crate) fn check(
     // A clause that did not parse could make a dead clause live.
     if syntax_is_good {
         lint::dead(&checked, &names, faults);
-        compared = lint::redundant(&checked.clauses, faults);
+        compared = lint::redundant(&checked.clauses, policy.word_size, faults);
     }
     if faults.failed() {
         return (None, compared);

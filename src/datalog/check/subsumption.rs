@@ -13,6 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::check::rules::{Clause, Literal, PredicateId, Term};
 use crate::check::subsets::{Budget, Subsets};
+use crate::symbol::WordSize;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
 use crate::value::Value;
@@ -102,8 +103,8 @@ impl Kind {
 
 /// Returns the literals of a clause except aggregates. With `once_is_any`, a variable that occurs only once, in a
 /// positive atom, becomes [`Arg::Any`]. Otherwise each `_` of a positive atom becomes a fresh variable, numbered after
-/// those of the clause.
-pub(crate) fn facts(clause: &Clause, once_is_any: bool) -> Vec<Fact> {
+/// those of the clause. Numbers of 64 bits compare as symbols do here: words do not tell their order.
+pub(crate) fn facts(clause: &Clause, once_is_any: bool, size: WordSize) -> Vec<Fact> {
     let mut uses = vec![0_usize; clause.variables.len()];
     let mut count = |term: &Term| {
         if let Term::Variable(id) = term {
@@ -135,7 +136,13 @@ pub(crate) fn facts(clause: &Clause, once_is_any: bool) -> Vec<Fact> {
             },
             Literal::Compare {
                 op, left, right, base, ..
-            } => compared(*op, plain(left), plain(right), *base),
+            } => {
+                let base = match (base, size) {
+                    (BaseType::Number, WordSize::Bits64) => BaseType::Symbol,
+                    (base, _) => *base,
+                };
+                compared(*op, plain(left), plain(right), base)
+            }
             Literal::Compute {
                 to,
                 functor,
@@ -261,6 +268,9 @@ pub(crate) fn covers(known: &Fact, wanted: &Fact) -> bool {
 
 /// The properties that the facts of a program are known to satisfy.
 pub(crate) trait Theory {
+    /// The size of numbers.
+    fn word_size(&self) -> WordSize;
+
     /// Returns the fact and everything that follows from it.
     fn closure(&self, fact: &Fact) -> Vec<Fact> {
         vec![fact.clone()]
@@ -278,9 +288,13 @@ pub(crate) trait Theory {
 }
 
 /// The empty theory: the facts are arbitrary.
-pub(crate) struct NoConstraints;
+pub(crate) struct NoConstraints(pub(crate) WordSize);
 
-impl Theory for NoConstraints {}
+impl Theory for NoConstraints {
+    fn word_size(&self) -> WordSize {
+        self.0
+    }
+}
 
 /// A property of a clause. A clause has all traits of every clause that subsumes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -315,11 +329,12 @@ impl Pattern {
             facts.sort_by_key(Fact::kind);
             facts
         };
-        let special = facts(clause, false);
+        let size = theory.word_size();
+        let special = facts(clause, false, size);
         Pattern {
             head: clause.head.terms.iter().map(plain).collect(),
             variables: clause.variables.len(),
-            general: by_kind(facts(clause, true)),
+            general: by_kind(facts(clause, true, size)),
             special: by_kind(special.iter().flat_map(|fact| theory.closure(fact)).collect()),
         }
     }
@@ -589,7 +604,7 @@ impl SubstitutionSearch<'_> {
 
 /// Returns whether every literal of the clause is an atom, or a comparison of symbols or whole numbers.
 pub(crate) fn within_theory(clause: &Clause) -> bool {
-    let facts = facts(clause, false);
+    let facts = facts(clause, false, WordSize::Bits32);
     facts.len() == clause.body.len() && !facts.iter().any(|fact| matches!(fact, Fact::Opaque { .. }))
 }
 
@@ -618,7 +633,7 @@ mod tests {
 
         #[test]
         fn traits_suffice_without_constraints(rules in random_clauses::rules()) {
-            prop_assert!(traits_suffice(rules.clauses.iter(), &NoConstraints));
+            prop_assert!(traits_suffice(rules.clauses.iter(), &NoConstraints(WordSize::Bits32)));
         }
     }
 }

@@ -5,9 +5,9 @@
 
 use crate::check::{RecordShape, Type, TypeId, shapes};
 use crate::record;
-use crate::symbol::Symbol;
+use crate::symbol::Interning;
 use crate::syntax::functor::BaseType;
-use crate::value::{Value, parse};
+use crate::value::Value;
 use std::borrow::Cow;
 
 /// Why a text is no record of a type.
@@ -33,13 +33,8 @@ pub fn record_word<E>(
 }
 
 /// Returns the word of the record of a type with this text; `Err` with what is expected there.
-pub fn record_of_text(
-    text: &str,
-    ty: TypeId,
-    types: &[Type],
-    symbol: &dyn Fn(&str) -> Option<Symbol>,
-) -> Result<Value, Option<String>> {
-    read(text, ty, types, symbol).map_err(|fault| fault.expected)
+pub fn record_of_text(text: &str, ty: TypeId, types: &[Type], words: &Interning<'_>) -> Result<Value, Option<String>> {
+    read(text, ty, types, words).map_err(|fault| fault.expected)
 }
 
 /// A record whose fields are being read.
@@ -50,14 +45,9 @@ struct Open<'t> {
 }
 
 /// Returns the word of the record that the text is. `symbol` maps a string to its symbol.
-pub(crate) fn read(
-    text: &str,
-    ty: TypeId,
-    types: &[Type],
-    symbol: &dyn Fn(&str) -> Option<Symbol>,
-) -> Result<Value, Fault> {
+pub(crate) fn read(text: &str, ty: TypeId, types: &[Type], words: &Interning<'_>) -> Result<Value, Fault> {
     let mut reader = Reader { text, at: 0 };
-    let word = |at: usize, text: &str| match symbol(text) {
+    let word = |at: usize, text: &str| match words.symbol(text) {
         Some(symbol) => Ok(symbol.0),
         None => Err(Fault { at, expected: None }),
     };
@@ -83,7 +73,7 @@ pub(crate) fn read(
             }
             base => {
                 let base = base.unwrap_or(BaseType::Number);
-                let value = parse(base, reader.token());
+                let value = words.parse(base, reader.token());
                 let expected = Some(format!("a value of type `{}`", base.name()));
                 Some(value.ok_or(Fault { at: start, expected })?.0)
             }

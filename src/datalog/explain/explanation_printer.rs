@@ -13,7 +13,7 @@ use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
 use crate::syntax::quoted;
-use crate::value::{Value, record_text, shortest_float};
+use crate::value::{Value, record_text, shown_number};
 use indexmap::IndexSet;
 use serde_json::{Map, json};
 use std::collections::{BTreeMap, HashSet};
@@ -257,13 +257,16 @@ impl<'a> ExplanationPrinter<'a> {
         self.named(clause, binding)
             .map(|(name, value, base)| {
                 let value = match base {
-                    BaseType::Number => json!(value.as_number()),
-                    BaseType::Unsigned => json!(value.0),
+                    BaseType::Number => json!(value.to_number(self.symbols)),
+                    BaseType::Unsigned => json!(value.to_unsigned(self.symbols)),
                     // JSON has no infinities and no NaN.
-                    BaseType::Float => match shortest_float(value.as_float()).parse::<f64>() {
-                        Ok(float) if float.is_finite() => json!(float),
-                        _ => json!(shortest_float(value.as_float())),
-                    },
+                    BaseType::Float => {
+                        let text = shown_number(base, value, self.symbols);
+                        match text.parse::<f64>() {
+                            Ok(float) if float.is_finite() => json!(float),
+                            _ => json!(text),
+                        }
+                    }
                     BaseType::Record => json!(record_text(value, self.symbols)),
                     BaseType::Symbol => json!(self.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
                 };
@@ -356,9 +359,7 @@ impl<'a> ExplanationPrinter<'a> {
     /// Symbols that read as names have no quotes, unless the printer is [`quoting`](ExplanationPrinter::quoting).
     pub fn value(&self, value: Value, base: BaseType) -> String {
         match base {
-            BaseType::Number => value.as_number().to_string(),
-            BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => shortest_float(value.as_float()),
+            BaseType::Number | BaseType::Unsigned | BaseType::Float => shown_number(base, value, self.symbols),
             BaseType::Record => record_text(value, self.symbols),
             BaseType::Symbol => {
                 let text = self.symbols.resolve(Symbol(value.0)).unwrap_or_default();

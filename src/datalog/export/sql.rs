@@ -51,6 +51,7 @@ const UNIT: &str = "holds";
 /// What SQL cannot express: recursion of several predicates through each other, recursion that is not linear, functors
 /// without a counterpart of the same meaning, and what [`souffle`](super::souffle) refuses.
 pub fn sql(rules: &Rules) -> Result<String, Vec<Diagnostic>> {
+    super::refuse_long(rules)?;
     let mut faults = Faults::default();
     check(rules, LANGUAGE, &mut faults);
     let mut names = Names::default();

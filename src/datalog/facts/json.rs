@@ -8,9 +8,9 @@ use crate::diag::{Diagnostic, counted};
 use crate::eval::limits::EvalError;
 use crate::facts::ordered;
 use crate::session::Session;
-use crate::symbol::{Symbol, Symbols};
+use crate::symbol::{Interning, Symbol, Symbols};
 use crate::syntax::ast::BaseType;
-use crate::value::{self, Value, parse as parse_value, shortened};
+use crate::value::{self, Value, parse_in, shortened};
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use std::fmt;
 use std::io::{self, BufReader, Read, Write};
@@ -101,13 +101,16 @@ pub fn write_json(session: &Session, id: PredicateId, objects: bool, out: &mut d
                 out.write_all(b": ")?;
             }
             match column.base {
-                BaseType::Number => write!(out, "{}", value.as_number())?,
-                BaseType::Unsigned => write!(out, "{}", value.0)?,
-                // JSON has no infinities.
-                BaseType::Float if !value.as_float().is_finite() => {
-                    write!(out, "\"{}\"", value::print_float(value.as_float()))?;
+                BaseType::Number => write!(out, "{}", value.to_number(session.symbols()))?,
+                BaseType::Unsigned => write!(out, "{}", value.to_unsigned(session.symbols()))?,
+                BaseType::Float => {
+                    let text = value::number_text(column.base, value, session.symbols());
+                    // JSON has no infinities.
+                    match value.to_float(session.symbols()).is_finite() {
+                        true => out.write_all(text.as_bytes())?,
+                        false => write!(out, "\"{text}\"")?,
+                    }
                 }
-                BaseType::Float => out.write_all(value::print_float(value.as_float()).as_bytes())?,
                 BaseType::Symbol => {
                     let text = session.symbols().resolve(Symbol(value.0)).unwrap_or_default();
                     serde_json::to_writer(&mut *out, text)?;
@@ -273,19 +276,21 @@ struct CellReader<'a> {
 impl CellReader<'_> {
     fn number<E: serde::de::Error>(self, number: i128) -> Result<Value, E> {
         let word = match self.column.base {
-            BaseType::Number => i32::try_from(number).ok().map(Value::number),
-            BaseType::Unsigned => u32::try_from(number).ok().map(Value),
+            BaseType::Number => (i64::try_from(number).ok()).and_then(|number| Value::of_number(number, self.symbols)),
+            BaseType::Unsigned => {
+                (u64::try_from(number).ok()).and_then(|number| Value::of_unsigned(number, self.symbols))
+            }
             BaseType::Float => return self.float(number as f64),
             BaseType::Symbol | BaseType::Record => None,
         };
         word.ok_or_else(|| E::custom(format!("{self}, not {number}")))
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "rounding is what is meant")]
     fn float<E: serde::de::Error>(self, number: f64) -> Result<Value, E> {
-        let near = number as f32;
-        match self.column.base == BaseType::Float && (near.is_finite() || !number.is_finite()) {
-            true => Ok(Value::float(near)),
+        let near = Value::of_float(number, self.symbols);
+        let is_near = near.to_float(self.symbols).is_finite() || !number.is_finite();
+        match self.column.base == BaseType::Float && is_near {
+            true => Ok(near),
             false => Err(E::custom(format!("{self}, not {number:?}"))),
         }
     }
@@ -340,7 +345,13 @@ impl<'de> Visitor<'de> for CellReader<'_> {
         let symbol = |text: &str| Some(self.symbols.intern(text));
         match self.column.base {
             BaseType::Symbol => Ok(Value(self.symbols.intern(text).0)),
-            BaseType::Record => read(text, self.column.ty, self.types, &symbol).map_err(|fault| {
+            BaseType::Record => read(
+                text,
+                self.column.ty,
+                self.types,
+                &Interning::new(&symbol, self.symbols.word_size()),
+            )
+            .map_err(|fault| {
                 E::custom(format!(
                     "{self}: expected {} in {:?}",
                     fault.expected.unwrap_or_default(),
@@ -348,8 +359,8 @@ impl<'de> Visitor<'de> for CellReader<'_> {
                 ))
             }),
             // What `write_json` writes for infinities and "not a number".
-            BaseType::Float => parse_value(BaseType::Float, text)
-                .filter(|word| !word.as_float().is_finite())
+            BaseType::Float => parse_in(BaseType::Float, text, self.symbols)
+                .filter(|word| !word.to_float(self.symbols).is_finite())
                 .ok_or_else(|| E::custom(format!("{self}, not {:?}", shortened(text)))),
             BaseType::Number | BaseType::Unsigned => Err(E::custom(format!("{self}, not {:?}", shortened(text)))),
         }

@@ -37,7 +37,7 @@ use crate::marginals::formulas::{Given, Source};
 use crate::marginals::grounding::{Grounding, LIFTED_MAX, liftable};
 use crate::program::Program;
 use crate::session::Session;
-use crate::symbol::Symbols;
+use crate::symbol::{Interning, Symbols};
 use crate::syntax::ast::BaseType;
 use crate::value::{Value, symbol_hash};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -367,7 +367,13 @@ impl Marginals {
             None => {
                 let mut words = Vec::new();
                 let symbol = |text: &str| Some(self.symbols.intern(text));
-                encode(predicate, row, &self.program.rules().types, &symbol, &mut words)?;
+                encode(
+                    predicate,
+                    row,
+                    &self.program.rules().types,
+                    &Interning::new(&symbol, self.symbols.word_size()),
+                    &mut words,
+                )?;
                 words.into()
             }
         };
@@ -546,7 +552,14 @@ impl Marginals {
             Some(words) => words,
             None => {
                 let symbol = |text: &str| self.symbols.get(text);
-                encode(declared, &row, &self.program.rules().types, &symbol, &mut words).ok()?;
+                encode(
+                    declared,
+                    &row,
+                    &self.program.rules().types,
+                    &Interning::new(&symbol, self.symbols.word_size()),
+                    &mut words,
+                )
+                .ok()?;
                 &words
             }
         };

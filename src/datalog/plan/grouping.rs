@@ -14,6 +14,7 @@
 
 use crate::check::{Clause, Literal, Rules, Term};
 use crate::plan::steps::Grouping;
+use crate::symbol::WordSize;
 use crate::syntax::functor::AggregateOp;
 
 /// By [`PredicateId`](crate::check::PredicateId): how the predicate is aggregated; `None` if its rows are stored.
@@ -22,7 +23,10 @@ pub(crate) fn groupings(rules: &Rules) -> Vec<Option<Grouping>> {
     let mut read: Vec<Option<Option<Grouping>>> = vec![None; rules.predicates.len()];
     for literal in rules.clauses.iter().flat_map(|clause| &clause.body) {
         let Some(atom) = literal.atom() else { continue };
-        let grouping = aggregated(literal);
+        // The sum and the mean of numbers of 64 bits may be interned, which groups do not do.
+        let long = rules.symbols.word_size() == WordSize::Bits64;
+        let grouping = aggregated(literal)
+            .filter(|grouping| !long || !matches!(grouping.op, AggregateOp::Sum | AggregateOp::Mean));
         let known = &mut read[atom.predicate.index()];
         *known = match *known {
             Some(known) if known != grouping => Some(None),

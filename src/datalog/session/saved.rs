@@ -6,7 +6,7 @@ use crate::eval::limits::Limits;
 use crate::plan::Compiled;
 use crate::program::Program;
 use crate::snapshot::{Decoder, Encoder, Fingerprint, SnapshotError};
-use crate::symbol::Symbols;
+use crate::symbol::{Symbols, WordSize};
 use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
 use std::io::{self, Read, Write};
@@ -79,7 +79,7 @@ impl Program {
     /// memory than the limit.
     pub fn load_session(&self, input: &mut dyn Read, limits: Limits) -> Result<Session, SnapshotError> {
         let mut decoder = Decoder::new(input, &fingerprint(&self.0), limits.bytes)?;
-        let symbols = Symbols::new();
+        let symbols = Symbols::of_words(self.rules().symbols.word_size());
         let count = decoder.long()?;
         let mut text = String::new();
         for number in 0..count {
@@ -118,6 +118,9 @@ fn fingerprint(compiled: &Compiled) -> Fingerprint {
         ..
     } = &compiled.rules;
     let mut text = format!("{chance:?}\n");
+    if symbols.word_size() == WordSize::Bits64 {
+        text += "64 bits\n";
+    }
     let mut hash = Sha256::new();
     // Writing to a string cannot fail.
     for (ty, id) in types.iter().zip(0..) {

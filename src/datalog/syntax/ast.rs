@@ -119,7 +119,7 @@ pub struct Pragma {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plan {
     /// The join orders: a version number of the preceding clause and the order of its atoms.
-    pub orders: Vec<(i64, Vec<i64>)>,
+    pub orders: Vec<(i128, Vec<i128>)>,
     /// The directive.
     pub place: Place,
 }
@@ -458,11 +458,11 @@ pub enum TermKind {
     /// `_`
     Wildcard,
     /// A whole number. The context determines its base type.
-    Number(i64),
+    Number(i128),
     /// `10.0.0.1`: the number with these four bytes, the first one highest.
     Address(Ipv4Addr),
     /// `1u`
-    Unsigned(u32),
+    Unsigned(u64),
     /// `2.5`, as written.
     Float(String),
     /// A string, with its escapes replaced.

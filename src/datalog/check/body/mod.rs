@@ -14,7 +14,7 @@ use std::collections::{HashMap, HashSet};
 use crate::chance;
 use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, Span};
-use crate::symbol::Symbols;
+use crate::symbol::{Symbols, WordSize};
 
 use crate::check::InputPolicy;
 use crate::check::clauses::{Clauses, Edge, EdgeKind, Guard, Known, renumber};
@@ -24,7 +24,7 @@ use crate::syntax::ast;
 use crate::syntax::ast::TermKind;
 use crate::syntax::ast::{BaseType, Comparison, names_in, names_of};
 use crate::syntax::functor::{AggregateOp, Functor, Shape};
-use crate::value::{Patterns, Value};
+use crate::value::{Patterns, Value, parse_in};
 use aggregate::Allowed;
 
 mod aggregate;
@@ -260,7 +260,7 @@ impl Operand {
 pub(crate) enum OperandKind {
     Variable(VarId),
     /// A plain number such as `1`, of any numeric base type.
-    Whole(i64),
+    Whole(i128),
     Constant(Value, BaseType),
     /// A value that the checker has reported.
     Nothing,
@@ -443,10 +443,22 @@ impl<'c> Check<'_, 'c> {
                 OperandKind::Nothing
             }
             TermKind::Number(number) => OperandKind::Whole(*number),
-            TermKind::Address(address) => OperandKind::Constant(Value(u32::from(*address)), BaseType::Number),
-            TermKind::Unsigned(number) => OperandKind::Constant(Value(*number), BaseType::Unsigned),
+            TermKind::Address(address) => {
+                // In 32 bits, the highest addresses are negative numbers.
+                let number = u32::from(*address);
+                let value = match self.symbols.word_size() {
+                    WordSize::Bits32 => Value(number),
+                    WordSize::Bits64 => Value(self.symbols.intern_bits(number.into())),
+                };
+                OperandKind::Constant(value, BaseType::Number)
+            }
+            TermKind::Unsigned(number) => {
+                let value = Value::of_unsigned(*number, self.symbols).unwrap_or_default();
+                OperandKind::Constant(value, BaseType::Unsigned)
+            }
             TermKind::Float(text) => {
-                OperandKind::Constant(Value::float(text.parse().unwrap_or_default()), BaseType::Float)
+                let value = parse_in(BaseType::Float, text, self.symbols).unwrap_or_default();
+                OperandKind::Constant(value, BaseType::Float)
             }
             TermKind::Symbol(text) => OperandKind::Constant(Value(self.symbols.intern(text).0), BaseType::Symbol),
             TermKind::Functor(Functor::Pack, arguments) => self.record(term, arguments, into),
@@ -571,7 +583,7 @@ impl<'c> Check<'_, 'c> {
 
     /// Adds `true` or `false` to the body of an aggregate.
     fn always(&mut self, holds: bool, span: Span) {
-        let [left, right] = [0, i64::from(!holds)].map(|number| Operand {
+        let [left, right] = [0, i128::from(!holds)].map(|number| Operand {
             kind: OperandKind::Whole(number),
             span,
         });
@@ -666,18 +678,32 @@ impl<'c> Check<'_, 'c> {
         };
         #[allow(clippy::cast_precision_loss)]
         let value = match base {
-            BaseType::Unsigned => u32::try_from(number).ok().map(Value),
-            BaseType::Float => Some(Value::float(number as f32)),
-            BaseType::Number | BaseType::Symbol | BaseType::Record => i32::try_from(number).ok().map(Value::number),
+            BaseType::Unsigned => {
+                (u64::try_from(number).ok()).and_then(|number| Value::of_unsigned(number, self.symbols))
+            }
+            BaseType::Float => Some(Value::of_float(number as f64, self.symbols)),
+            BaseType::Number | BaseType::Symbol | BaseType::Record => {
+                (i64::try_from(number).ok()).and_then(|number| Value::of_number(number, self.symbols))
+            }
         };
         value.unwrap_or_else(|| {
-            let range = match base {
-                BaseType::Unsigned => format!("unsigned numbers range from 0 to {}", u32::MAX),
-                _ => format!("numbers range from {} to {}", i32::MIN, i32::MAX),
+            let long = self.symbols.word_size() == WordSize::Bits64;
+            let range = match (base, long) {
+                (BaseType::Unsigned, false) => format!("unsigned numbers range from 0 to {}", u32::MAX),
+                (BaseType::Unsigned, true) => format!("unsigned numbers range from 0 to {}", u64::MAX),
+                (_, false) => format!("numbers range from {} to {}", i32::MIN, i32::MAX),
+                (_, true) => format!("numbers range from {} to {}", i64::MIN, i64::MAX),
             };
-            let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "number out of range")
+            let mut fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "number out of range")
                 .at(operand.span, "")
                 .note(range);
+            let fits = match base {
+                BaseType::Unsigned => u64::try_from(number).is_ok(),
+                _ => i64::try_from(number).is_ok(),
+            };
+            if fits && !long {
+                fault = fault.help("`check` and `query` take numbers of 64 bits with `--word-size 64`");
+            }
             self.fault(fault);
             Value(0)
         })

@@ -14,6 +14,7 @@
 use std::collections::BTreeSet;
 
 use crate::diag::Span;
+use crate::symbol::Symbols;
 
 use crate::check::body::aggregate::{Allowed, bound_by};
 use crate::check::body::{Check, Finish, Pending};
@@ -80,6 +81,7 @@ impl<'c> Check<'_, 'c> {
         let mut making = Making {
             names: &mut *self.names,
             hidden: &mut *finish.hidden,
+            symbols: self.symbols,
             base,
             span,
         };
@@ -87,7 +89,7 @@ impl<'c> Check<'_, 'c> {
         let values = making.predicate("values of `range`", COLUMNS);
         let around: Vec<Literal> = near.into_iter().chain(context).collect();
         let mut ways = Vec::new();
-        for (terms, condition, way) in requests(&arguments, base, span) {
+        for (terms, condition, way) in requests(&arguments, base, span, self.symbols) {
             let body = condition.into_iter().chain(around.iter().cloned()).collect();
             making.clause(asked, terms, body, finish.variables.clone());
             ways.push(way);
@@ -147,7 +149,12 @@ enum Way {
 }
 
 /// Returns the possible requests for these arguments: start, end and step, the condition, and the direction.
-fn requests(arguments: &[Term], base: BaseType, span: Span) -> Vec<(Vec<Term>, Option<Literal>, Way)> {
+fn requests(
+    arguments: &[Term],
+    base: BaseType,
+    span: Span,
+    symbols: &Symbols,
+) -> Vec<(Vec<Term>, Option<Literal>, Way)> {
     let [from, to, rest @ ..] = arguments else {
         return Vec::new();
     };
@@ -169,7 +176,7 @@ fn requests(arguments: &[Term], base: BaseType, span: Span) -> Vec<(Vec<Term>, O
             let possible = sign.into_iter().filter(|(way, _)| signed || *way != Way::Down);
             possible
                 .map(|(way, op)| {
-                    let condition = compare(op, *step, constant(0, base));
+                    let condition = compare(op, *step, constant(0, base, symbols));
                     (vec![*from, *to, *step], Some(condition), way)
                 })
                 .collect()
@@ -177,23 +184,27 @@ fn requests(arguments: &[Term], base: BaseType, span: Span) -> Vec<(Vec<Term>, O
         // Unsigned numbers have no step downwards.
         None => {
             let mut all = vec![(
-                vec![*from, *to, constant(1, base)],
+                vec![*from, *to, constant(1, base, symbols)],
                 Some(compare(Comparison::Less, *from, *to)),
                 Way::Up,
             )];
             if signed {
                 let condition = compare(Comparison::Greater, *from, *to);
-                all.push((vec![*from, *to, constant(-1, base)], Some(condition), Way::Down));
+                all.push((
+                    vec![*from, *to, constant(-1, base, symbols)],
+                    Some(condition),
+                    Way::Down,
+                ));
             }
             all
         }
     }
 }
 
-fn constant(n: i8, base: BaseType) -> Term {
+fn constant(n: i8, base: BaseType, symbols: &Symbols) -> Term {
     Term::Constant(match base {
-        BaseType::Float => Value::float(f32::from(n)),
-        _ => Value::number(i32::from(n)),
+        BaseType::Float => Value::of_float(f64::from(n), symbols),
+        _ => Value::of_number(n.into(), symbols).unwrap_or_default(),
     })
 }
 
@@ -201,6 +212,7 @@ fn constant(n: i8, base: BaseType) -> Term {
 struct Making<'m> {
     names: &'m mut Names,
     hidden: &'m mut Vec<Clause>,
+    symbols: &'m Symbols,
     base: BaseType,
     span: Span,
 }
@@ -275,7 +287,7 @@ impl Making<'_> {
         };
         let asked = Literal::Positive(self.atom(asked, vec![FROM, TO, STEP]));
         let known = Literal::Positive(self.atom(values, vec![FROM, TO, STEP, VALUE]));
-        let this_way = compare(STEP, sign, constant(0, self.base));
+        let this_way = compare(STEP, sign, constant(0, self.base, self.symbols));
         let begin = vec![asked.clone(), this_way.clone(), compare(FROM, before, TO)];
         let reached = |term, from| [compare(term, after, from), compare(term, before, TO)];
         let mut bodies = vec![(FROM, begin)];

@@ -27,7 +27,7 @@ use crate::plan::steps::{Aim, IndexId, IndexSpec, Plan, Slot, Source, Step, Stra
 use crate::plan::{Compiled, Plans};
 use crate::row::{AnyBatch, Batch, ByWidth, Row, normalize, read_row, read_rows};
 use crate::snapshot::{Decoder, Encoder, SnapshotError};
-use crate::symbol::Symbols;
+use crate::symbol::{Symbols, WordSize};
 use crate::syntax::ast::BaseType;
 use crate::syntax::functor::AggregateOp;
 use crate::value::Value;
@@ -408,7 +408,8 @@ impl<const W: usize> State<W> {
         // One thread must make all new symbols, since they are numbered in the order of creation. With correlated
         // aggregates, the number of rows scanned depends on which of them the thread has evaluated before.
         let correlated = !stratum.correlated.is_empty();
-        let several = workers.are_several() && !correlated && !makes_symbols(&commit.plans, stratum);
+        let several =
+            workers.are_several() && !correlated && !makes_symbols(&commit.plans, stratum, commit.symbols.word_size());
         let workers = several.then_some(workers);
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
@@ -470,7 +471,7 @@ impl<const W: usize> State<W> {
             }
             quota.bytes = (quota.bytes - missing) / if copied > 0 { 2 } else { 1 };
         }
-        if makes_symbols(&commit.plans, stratum) {
+        if makes_symbols(&commit.plans, stratum, commit.symbols.word_size()) {
             quota.bytes /= 2;
         }
         let values_bytes = if correlated { quota.bytes / 4 } else { 0 };
@@ -599,8 +600,12 @@ impl<const W: usize> State<W> {
         let mut rows: Vec<Row<W>> = (solutions.iter().zip(0_u64..))
             .map(|(solution, at)| {
                 let mut row = Row::ZERO;
-                // Numbers wrap around.
-                row.0[0] = Value((first + at * u64::from(numbering.each)) as u32);
+                let number = first + at * u64::from(numbering.each);
+                row.0[0] = match commit.symbols.word_size() {
+                    // Numbers wrap around.
+                    WordSize::Bits32 => Value(number as u32),
+                    WordSize::Bits64 => Value(commit.symbols.intern_bits(number)),
+                };
                 row.0[1..=bases.len()].copy_from_slice(&solution.0[..bases.len()]);
                 row
             })
@@ -635,10 +640,14 @@ impl<const W: usize> State<W> {
 }
 
 /// Whether a clause of the stratum creates new symbols.
-fn makes_symbols(plans: &Plans, stratum: &StratumPlan) -> bool {
+fn makes_symbols(plans: &Plans, stratum: &StratumPlan, size: WordSize) -> bool {
+    let long = size == WordSize::Bits64;
     let makes = |plan: &Plan| {
-        let mut steps = plan.steps.iter();
-        steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_symbol()))
+        plan.steps.iter().any(|step| match step {
+            Step::Compute { functor, .. } => long || functor.makes_symbol(),
+            Step::Aggregate { .. } | Step::Correlated { .. } => long,
+            _ => false,
+        })
     };
     let mut inner = stratum
         .correlated

@@ -26,7 +26,7 @@ use crate::diag::{Diagnostic, Sources, Span, counted};
 use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::quoted;
-use crate::value::{Value, record_text};
+use crate::value::{Value, record_text, shown_number};
 use saturate::Knowledge;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -65,7 +65,7 @@ enum Finding {
 /// Returns equivalent rules with the same predicates and clause ids. With `assume`, they are equivalent only for facts
 /// that satisfy the declared constraints.
 pub(crate) fn optimize(rules: &Rules, assume: bool) -> Cow<'_, Rules> {
-    let theory = Constraints::new(rules.constraints.iter().filter(|_| assume));
+    let theory = Constraints::new(rules.symbols.word_size(), rules.constraints.iter().filter(|_| assume));
     let mut gone = vec![false; rules.clauses.len()];
     let mut redundant: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
     let findings = find(rules, &theory, true).findings;
@@ -119,7 +119,7 @@ pub struct Lints {
 /// clauses that others subsume under the constraints, and repeated parts of bodies. A warning that follows from
 /// constraints names them, with their places in `sources`.
 pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
-    let theory = Constraints::new(&rules.constraints);
+    let theory = Constraints::new(rules.symbols.word_size(), &rules.constraints);
     let mut lints = Vec::new();
     // Loading reports clauses that are subsumed without constraints.
     let found = find(rules, &theory, !rules.constraints.is_empty());
@@ -134,7 +134,11 @@ pub fn lints(rules: &Rules, sources: &Sources) -> Lints {
             continue;
         }
         let (lint, given) = match *finding {
-            Finding::Subsumed { clause, by } if is_subsumed(named(clause), named(by), &NoConstraints) => continue,
+            Finding::Subsumed { clause, by }
+                if is_subsumed(named(clause), named(by), &NoConstraints(rules.symbols.word_size())) =>
+            {
+                continue;
+            }
             Finding::Subsumed { clause, by } => {
                 minimized += 1;
                 let given = unsat_core(rules, &theory, named(clause), named(by), minimized <= MINIMIZED_MAX);
@@ -341,7 +345,7 @@ fn simplest(clause: &Clause, theory: &Constraints) -> Option<Option<Vec<usize>>>
     if !is_known(clause) {
         return None;
     }
-    let literals = Literals::new(theory, facts(clause, true));
+    let literals = Literals::new(theory, facts(clause, true, theory.word_size()));
     let mut kept = saturate::simplest(literals.facts.len(), &literals);
     if let Some(kept) = &mut kept {
         kept.sort_unstable();
@@ -364,7 +368,7 @@ fn find(rules: &Rules, theory: &Constraints, covered: bool) -> Found {
     for (index, clause) in rules.clauses.iter().enumerate() {
         let id = ClauseId(index as u32);
         let Some(kept) = simplest(clause, theory) else { continue };
-        let literals = Literals::new(theory, facts(clause, true));
+        let literals = Literals::new(theory, facts(clause, true, theory.word_size()));
         let count = literals.facts.len();
         match kept {
             Some(kept) => {
@@ -444,11 +448,11 @@ const CORE_MAX: usize = 64;
 /// Returns constraints from which it follows that `by` subsumes the clause; with `minimal`, none that is not needed.
 fn unsat_core(rules: &Rules, theory: &Constraints, clause: &Clause, by: &Clause, minimal: bool) -> Vec<usize> {
     let mut used: BTreeSet<usize> = BTreeSet::new();
-    for fact in facts(clause, false) {
+    for fact in facts(clause, false, theory.word_size()) {
         let closure = theory.consequences(&fact);
         used.extend((0..closure.facts.len()).flat_map(|at| closure.reasons(at)));
     }
-    let always = facts(by, true);
+    let always = facts(by, true, theory.word_size());
     let predicates = always.iter().filter_map(|fact| match fact {
         Fact::Atom { predicate, .. } => Some(*predicate),
         _ => None,
@@ -465,7 +469,7 @@ fn unsat_core(rules: &Rules, theory: &Constraints, clause: &Clause, by: &Clause,
     }
     for number in used.clone() {
         let fewer = used.iter().filter(|other| **other != number);
-        let fewer = Constraints::new(fewer.map(|other| &rules.constraints[*other]));
+        let fewer = Constraints::new(rules.symbols.word_size(), fewer.map(|other| &rules.constraints[*other]));
         if is_subsumed(clause, by, &fewer) {
             used.remove(&number);
         }
@@ -516,9 +520,7 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
         Term::Wildcard => "_".to_owned(),
         Term::Variable(VarId(id)) => written(&clause.variables[id as usize]).to_owned(),
         Term::Constant(value) => match base {
-            BaseType::Number => value.as_number().to_string(),
-            BaseType::Unsigned => value.0.to_string(),
-            BaseType::Float => crate::value::shortest_float(value.as_float()),
+            BaseType::Number | BaseType::Unsigned | BaseType::Float => shown_number(base, value, &rules.symbols),
             BaseType::Record => record_text(value, &rules.symbols),
             BaseType::Symbol => quoted(rules.symbols.resolve(Symbol(value.0)).unwrap_or_default()),
         },
@@ -537,7 +539,7 @@ mod tests {
 
         #[test]
         fn traits_suffice_under_constraints(rules in random_clauses::rules()) {
-            let theory = Constraints::new(&rules.constraints);
+            let theory = Constraints::new(rules.symbols.word_size(), &rules.constraints);
             let known = rules.clauses.iter().filter(|clause| is_known(clause));
             prop_assert!(subsumption::traits_suffice(known, &theory));
         }

@@ -2,6 +2,7 @@
 
 use crate::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory, covers};
 use crate::check::{Constraint, DeclaredConstraint, PredicateId};
+use crate::symbol::WordSize;
 use crate::syntax::ast::BaseType;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -10,6 +11,7 @@ use std::collections::BTreeMap;
 /// [`Constraints::new`] took.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Constraints {
+    size: WordSize,
     implied: BTreeMap<PredicateId, Vec<(PredicateId, usize)>>,
     implying: BTreeMap<PredicateId, Vec<(PredicateId, usize)>>,
     disjoint: BTreeMap<PredicateId, Vec<(PredicateId, usize)>>,
@@ -39,8 +41,11 @@ impl Closure {
 }
 
 impl Constraints {
-    pub(super) fn new<'c>(constraints: impl IntoIterator<Item = &'c DeclaredConstraint>) -> Self {
-        let mut theory = Constraints::default();
+    pub(super) fn new<'c>(size: WordSize, constraints: impl IntoIterator<Item = &'c DeclaredConstraint>) -> Self {
+        let mut theory = Constraints {
+            size,
+            ..Constraints::default()
+        };
         for (number, DeclaredConstraint { constraint, domain, .. }) in constraints.into_iter().enumerate() {
             match *constraint {
                 Constraint::Disjoint(a, b) => {
@@ -177,6 +182,10 @@ impl Constraints {
 }
 
 impl Theory for Constraints {
+    fn word_size(&self) -> WordSize {
+        self.size
+    }
+
     fn closure(&self, fact: &Fact) -> Vec<Fact> {
         self.consequences(fact).facts
     }

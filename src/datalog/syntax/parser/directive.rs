@@ -185,7 +185,7 @@ impl Parser<'_> {
     }
 
     /// `0:(1,2), 1:(2,1)`
-    fn join_orders(&mut self) -> Parse<Vec<(i64, Vec<i64>)>> {
+    fn join_orders(&mut self) -> Parse<Vec<(i128, Vec<i128>)>> {
         let mut orders = Vec::new();
         loop {
             let version = self.wanted(Kind::Number, "the number of a version")?;

@@ -359,7 +359,7 @@ impl Parser<'_> {
             Kind::Underscore => TermKind::Wildcard,
             Kind::Number => TermKind::Number(self.number(token)),
             Kind::Address => TermKind::Address(self.address(token)),
-            Kind::Unsigned => TermKind::Unsigned(u32::try_from(self.number(token)).unwrap_or(0)),
+            Kind::Unsigned => TermKind::Unsigned(u64::try_from(self.number(token)).unwrap_or(0)),
             Kind::Float => TermKind::Float(self.slice(token).to_owned()),
             Kind::String => TermKind::Symbol(self.unescape(token)),
             // The lexer has reported it.
@@ -571,7 +571,7 @@ impl Parser<'_> {
     }
 
     /// Returns the value of a number. A value outside the range of every type counts as 0, after a report.
-    pub(super) fn number(&mut self, token: Token) -> i64 {
+    pub(super) fn number(&mut self, token: Token) -> i128 {
         let text = self.slice(token);
         let text = text.strip_suffix('u').unwrap_or(text);
         let (digits, radix) = match text.get(..2) {
@@ -579,22 +579,17 @@ impl Parser<'_> {
             Some("0b") => (&text[2..], 2),
             _ => (text, 10),
         };
-        let mut value: i64 = 0;
+        let mut value: i128 = 0;
         for digit in digits.chars() {
             match digit.to_digit(radix) {
-                Some(digit) => value = (value * i64::from(radix) + i64::from(digit)).min(1 << 40),
+                Some(digit) => value = (value * i128::from(radix) + i128::from(digit)).min(1 << 80),
                 None => return 0, // The lexer has reported it.
             }
         }
-        if value > i64::from(u32::MAX) {
+        if value > i128::from(u64::MAX) {
             let fault = Diagnostic::new(diag::codes::LIMIT_EXCEEDED, "number out of range")
                 .at(self.span(token), "")
-                .note(format!(
-                    "numbers range from {} to {}, unsigned numbers from 0 to {}",
-                    i32::MIN,
-                    i32::MAX,
-                    u32::MAX
-                ));
+                .note(format!("no number is greater than {}", u64::MAX));
             self.faults.push(fault);
             return 0;
         }

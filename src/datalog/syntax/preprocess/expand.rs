@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use crate::codes;
 use crate::diag::{self, Diagnostic, Faults, MacroUse, Sources, Span};
+use crate::symbol::WordSize;
 use crate::syntax::lexer::{logical_line, preprocessor_word};
 use crate::syntax::preprocess::piece::{Piece, PieceKind, PieceText, Pieces, Space, piece_of};
 
@@ -64,6 +65,7 @@ struct BodyPiece {
 
 /// The macros that are defined, and the text that they wrote.
 pub(super) struct Macros {
+    word_size: WordSize,
     known: HashMap<String, Macro>,
     /// By number of the macro: whether it is being expanded.
     active: Vec<bool>,
@@ -86,8 +88,9 @@ pub(super) struct Context<'a> {
 }
 
 impl Macros {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(word_size: WordSize) -> Self {
         Macros {
+            word_size,
             known: HashMap::new(),
             active: Vec::new(),
             made: String::new(),
@@ -359,7 +362,13 @@ impl Macros {
             (None, None) => piece.span()?,
         };
         let (text, kind) = match name {
-            DOMAIN_SIZE => ("32".to_owned(), PieceKind::Number),
+            DOMAIN_SIZE => {
+                let bits = match self.word_size {
+                    WordSize::Bits32 => "32",
+                    WordSize::Bits64 => "64",
+                };
+                (bits.to_owned(), PieceKind::Number)
+            }
             "__LINE__" => (sources.position(place).line.to_string(), PieceKind::Number),
             "__FILE__" => {
                 let name = sources.name(place.source).replace('\\', "\\\\").replace('"', "\\\"");

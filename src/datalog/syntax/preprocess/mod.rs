@@ -18,6 +18,7 @@ use std::sync::Arc;
 use crate::codes;
 use crate::diag::{self, Diagnostic, Expansion, Faults, Part, SourceId, Sources, Span};
 use crate::files::{ReadError, ReadFile, normalize};
+use crate::symbol::WordSize;
 use crate::syntax::lexer::{is_name, is_name_part, is_name_start, logical_line, preprocessor_word};
 use crate::syntax::locate::Wanted;
 use crate::syntax::preprocess::expand::{BUILTIN, Context, Macros, Stopped};
@@ -47,6 +48,8 @@ pub struct Preprocessing {
     pub folders: Vec<PathBuf>,
     /// The text that defines the macros of [`Preprocessing::define`].
     definitions: String,
+    /// The size of numbers, which the macro `RAM_DOMAIN_SIZE` states.
+    pub(crate) word_size: WordSize,
 }
 
 impl Default for Preprocessing {
@@ -55,6 +58,7 @@ impl Default for Preprocessing {
             enabled: true,
             folders: Vec::new(),
             definitions: String::new(),
+            word_size: WordSize::default(),
         }
     }
 }
@@ -130,7 +134,7 @@ pub(crate) fn preprocess(
         settings,
         files,
         faults,
-        macros: Macros::new(),
+        macros: Macros::new(settings.word_size),
         open: Vec::new(),
         once: HashSet::new(),
         includes: 0,
