@@ -16,6 +16,7 @@ PEERS = {
     "souffle": ("Soufflé interpreted*", "i"),
     "souffle-compiled": ("Soufflé compiled*", "c"),
     "datatoad": ("datatoad*", "t"),
+    "flowlog": ("FlowLog compiled*", "f"),
 }
 #: The places of a line: where its name ends, where the axis begins and ends, its height, and the height of the head.
 NAME, LEFT, RIGHT, LINE, HEAD = 230, 250, 660, 24, 34

@@ -18,7 +18,7 @@ use arrow_schema::{DataType, Field, FieldRef, Fields};
 use logicity::cancel::Cancel;
 use logicity::datalog::internal::{record_of_text, whole_record};
 use logicity::datalog::{BaseType, Column, Predicate, Rows, Value};
-use logicity::symbol::{Interning, Symbol, Symbols, WordSize};
+use logicity::symbol::{Symbol, Symbols, WordEncoder, WordSize};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -254,7 +254,7 @@ fn record(text: &str, column: &Column, target: &Target<'_>) -> Result<Value, Fau
         text,
         column.ty,
         target.maker.types,
-        &Interning::new(&symbol, WordSize::Bits32),
+        &WordEncoder::new(&symbol, WordSize::Bits32),
     );
     match (failed.take(), read) {
         (Some(error), _) => Err(Fault::Raised(error)),

@@ -3,7 +3,7 @@
 use crate::arrow;
 use logicity::datalog::internal::{NIL, record_fields, record_of_text, record_word, shapes};
 use logicity::datalog::{BaseType, Column, FunctorBatch, Predicate, RecordShape, Type, TypeId, UserFunctor, Value};
-use logicity::symbol::{Interning, Symbol, Symbols, WordSize};
+use logicity::symbol::{Symbol, Symbols, WordEncoder, WordSize};
 use numpy::{Element, PyArray1, PyArrayDescrMethods, PyReadonlyArray1, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::PyTypeInfo as _;
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -243,7 +243,7 @@ fn opened<'a, 'py>(
             text.to_str()?,
             ty,
             maker.types,
-            &Interning::new(&symbol, WordSize::Bits32),
+            &WordEncoder::new(&symbol, WordSize::Bits32),
         );
         if let Some(error) = failed.take() {
             return Err(error);

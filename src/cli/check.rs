@@ -21,6 +21,7 @@ use crate::sim::{
     CONFLICT_BUDGET, Coverage, Finding, Overlap, conflict_lints, conflicts, earlier_facts, examine as examine_rules,
     help_to_declare, needed_draws, scene_json,
 };
+use crate::symbol::WordSize;
 use serde_json::json;
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -139,6 +140,10 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
         given = Some(configuration::Checked::from_scenario(city.scenario)?);
     }
     if let Some(city) = given.as_ref().or(report.configuration.as_ref()) {
+        if arguments.options.word_size() == WordSize::Bits64 {
+            let message = "a city has numbers of 32 bits\nhelp: omit `--word-size 64`";
+            return Err(Failure::Usage(message.to_owned()));
+        }
         report.actions = city.actions();
     }
     let Some(rules) = report.load(&path, given.as_ref(), arguments, files, sources)? else {
@@ -152,7 +157,9 @@ fn examine(arguments: &Arguments, path: &Path, files: &dyn ReadFile, sources: &m
             return Ok(report);
         }
     };
-    report.overlaps = conflicts(&in_city, &report.actions.table)?;
+    if arguments.options.word_size() == WordSize::Bits32 {
+        report.overlaps = conflicts(&in_city, &report.actions.table)?;
+    }
     let lints = conflict_lints(&report.overlaps, program.rules(), &report.actions);
     report.found.extend(lints);
     if let Some(configuration) = &report.configuration {

@@ -451,8 +451,12 @@ fn retract_inputs(session: &mut Session) {
     }
 }
 
+/// Help for missing facts.
+const FACTS_HELP: &str =
+    "\nhelp: `-F FOLDER` names the folder of the facts; create an empty file for a predicate without facts";
+
 /// Returns, by predicate, whether results or constraints depend on its rows. What operators read of earlier ticks counts
-/// as needed, and everything does in a program without results.
+/// as needed. In a program without results, every predicate is needed.
 fn needed(rules: &Rules) -> Vec<bool> {
     let results = (0..).map(PredicateId).zip(&rules.predicates);
     let results: Vec<_> = results
@@ -499,9 +503,7 @@ pub(super) fn load_inputs(
             let unreadable = |error: ReadError| {
                 let (name, path) = (&predicate.name, path.display());
                 let help = match error {
-                    ReadError::NotFound => {
-                        "\nhelp: `-F FOLDER` names the folder of the facts; an empty file stands for none"
-                    }
+                    ReadError::NotFound => FACTS_HELP,
                     _ => "",
                 };
                 Failure::Usage(format!(
@@ -553,7 +555,6 @@ fn check_inputs(program: &Program, folder: &Path, needed: &[bool]) -> Result<(),
     }
     let (count, missing) = (missing.len(), listed(&missing));
     Err(Failure::Usage(format!(
-        "{count} files of facts are missing: {missing}\nhelp: `-F FOLDER` names the folder of the facts; an empty file stands \
-         for a predicate without facts"
+        "{count} files of facts are missing: {missing}{FACTS_HELP}"
     )))
 }

@@ -2,6 +2,7 @@
 
 use crate::datalog::symbol::WordSize;
 use crate::datalog::{InputPolicy, Preprocessing, Workspace};
+use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use std::path::PathBuf;
 
 /// Options for every command that reads rule files as programs of their own. Their names are those of Soufflé.
@@ -20,10 +21,10 @@ pub struct SouffleOptions {
     /// forms cause no warning
     #[arg(long)]
     legacy: bool,
-    /// The bits of `number`, `unsigned` and `float`: 64 as in a Soufflé built with `SOUFFLE_DOMAIN_64BIT`. Takes more
-    /// memory and time for numbers that are negative or above 2^31
-    #[arg(long, value_name = "BITS", default_value = "32", value_parser = ["32", "64"])]
-    word_size: String,
+    /// The bits of `number`, `unsigned` and `float`: 64 as in a Soufflé built with `SOUFFLE_DOMAIN_64BIT`. Floats, and
+    /// numbers that are negative or at least 2^31, then take more memory and time
+    #[arg(long, value_name = "BITS", default_value = "32", value_parser = PossibleValuesParser::new(["32", "64"]).map(size))]
+    word_size: WordSize,
 }
 
 impl SouffleOptions {
@@ -32,11 +33,13 @@ impl SouffleOptions {
         let mut workspace = Workspace::new(inputs);
         workspace.set_preprocessing(self.preprocessing());
         workspace.set_legacy(self.legacy);
-        workspace.set_word_size(match self.word_size.as_str() {
-            "64" => WordSize::Bits64,
-            _ => WordSize::Bits32,
-        });
+        workspace.set_word_size(self.word_size);
         workspace
+    }
+
+    /// Returns the size of numbers.
+    pub fn word_size(&self) -> WordSize {
+        self.word_size
     }
 
     fn preprocessing(&self) -> Preprocessing {
@@ -49,6 +52,13 @@ impl SouffleOptions {
                 .expect("the parser of the option has checked it");
         }
         preprocessing
+    }
+}
+
+fn size(bits: String) -> WordSize {
+    match bits.as_str() {
+        "64" => WordSize::Bits64,
+        _ => WordSize::Bits32,
     }
 }
 

@@ -1,5 +1,7 @@
 //! Evaluation of aggregates, over all values at once or in parts.
 //!
+//! With numbers of 64 bits, sums and means read all values at once. Everything else is a [`Partial`].
+//!
 //! A [`Partial`] takes one value at a time and keeps no values, so an aggregate over many rows needs constant memory.
 //! Parts of the values can be aggregated apart, for example on several threads, and merged. Neither the order of the
 //! values nor the division into parts has an effect, not even for floats: [`ExactSum`] adds without rounding.
@@ -26,7 +28,7 @@ impl AggregateOp {
     /// values has no effect, not even for floats.
     pub fn of(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
         if symbols.word_size() == WordSize::Bits64 && matches!(self, AggregateOp::Sum | AggregateOp::Mean) {
-            return self.of_long(base, values, symbols);
+            return self.sum_or_mean_64(base, values, symbols);
         }
         let mut partial = Partial::default();
         match self {
@@ -44,7 +46,7 @@ impl AggregateOp {
         clippy::cast_precision_loss,
         clippy::cast_sign_loss
     )]
-    fn of_long(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
+    fn sum_or_mean_64(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
         if base == BaseType::Float {
             let mut all: Vec<f64> = values.map(|value| value.to_float(symbols)).collect();
             all.sort_unstable_by(f64::total_cmp);
@@ -54,7 +56,7 @@ impl AggregateOp {
                 _ => Some(Value::of_float(sum, symbols)),
             };
         }
-        let (mut count, mut sum) = (0_u32, 0_i128);
+        let (mut count, mut sum) = (0_u64, 0_i128);
         for value in values {
             count += 1;
             sum += match base {
@@ -63,7 +65,7 @@ impl AggregateOp {
             };
         }
         match self {
-            AggregateOp::Mean => (count > 0).then(|| Value::of_float(sum as f64 / f64::from(count), symbols)),
+            AggregateOp::Mean => (count > 0).then(|| Value::of_float(sum as f64 / count as f64, symbols)),
             // The sum wraps around.
             _ => Some(Value(symbols.intern_bits(sum as u64))),
         }

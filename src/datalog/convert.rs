@@ -4,7 +4,7 @@ use std::fmt;
 
 use crate::check::{Column, Predicate, PredicateId, Rules, Type, TypeId};
 use crate::diag::{counted, did_you_mean};
-use crate::symbol::{Interning, Symbol, Symbols, WordSize};
+use crate::symbol::{Symbol, Symbols, WordEncoder, WordSize};
 use crate::syntax::functor::BaseType;
 use crate::value::{Value, WHOLE, print_record};
 
@@ -56,9 +56,9 @@ impl AsPredicate for &String {
 /// Whole numbers fit columns of type `number` and `unsigned`, floats those of type `float`, and strings those of type
 /// `symbol`. A [`Value`] fits every column, since it is a word already.
 pub trait ToValue {
-    /// Returns the word of the value in a column, or `None` if it does not fit. `symbol` maps a string to its symbol.
+    /// Returns the word of the value in a column, or `None` if it does not fit. `words` encodes numbers and strings.
     #[doc(hidden)]
-    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value>;
+    fn to_value(&self, base: BaseType, words: &WordEncoder<'_>) -> Option<Value>;
 
     /// Returns the text of a record.
     #[doc(hidden)]
@@ -82,7 +82,7 @@ pub trait ToValue {
 }
 
 impl ToValue for Value {
-    fn to_value(&self, _: BaseType, _: &Interning<'_>) -> Option<Value> {
+    fn to_value(&self, _: BaseType, _: &WordEncoder<'_>) -> Option<Value> {
         Some(*self)
     }
 
@@ -99,7 +99,7 @@ impl ToValue for Value {
 macro_rules! whole_numbers {
     ($($number:ty),*) => {
         $(impl ToValue for $number {
-            fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+            fn to_value(&self, base: BaseType, words: &WordEncoder<'_>) -> Option<Value> {
                 words.whole(base, *self as i128)
             }
 
@@ -113,7 +113,7 @@ macro_rules! whole_numbers {
 whole_numbers!(i8, i16, i32, i64, isize, u8, u16, u32, u64, usize);
 
 impl ToValue for f32 {
-    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+    fn to_value(&self, base: BaseType, words: &WordEncoder<'_>) -> Option<Value> {
         f64::from(*self).to_value(base, words)
     }
 
@@ -124,7 +124,7 @@ impl ToValue for f32 {
 
 impl ToValue for f64 {
     /// Rounds to the precision of the program.
-    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+    fn to_value(&self, base: BaseType, words: &WordEncoder<'_>) -> Option<Value> {
         (base == BaseType::Float).then(|| words.float(*self))?
     }
 
@@ -134,7 +134,7 @@ impl ToValue for f64 {
 }
 
 impl ToValue for str {
-    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+    fn to_value(&self, base: BaseType, words: &WordEncoder<'_>) -> Option<Value> {
         match base {
             BaseType::Symbol => words.symbol(self).map(|symbol| Value(symbol.0)),
             BaseType::Number | BaseType::Unsigned | BaseType::Float | BaseType::Record => None,
@@ -151,7 +151,7 @@ impl ToValue for str {
 }
 
 impl ToValue for String {
-    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+    fn to_value(&self, base: BaseType, words: &WordEncoder<'_>) -> Option<Value> {
         self.as_str().to_value(base, words)
     }
 
@@ -165,7 +165,7 @@ impl ToValue for String {
 }
 
 impl<T: ToValue + ?Sized> ToValue for &T {
-    fn to_value(&self, base: BaseType, words: &Interning<'_>) -> Option<Value> {
+    fn to_value(&self, base: BaseType, words: &WordEncoder<'_>) -> Option<Value> {
         (**self).to_value(base, words)
     }
 
@@ -383,8 +383,10 @@ fn check_column<'s, T: FromValue<'s>>(predicate: &Predicate, column: usize, size
             predicate: predicate.name.clone(),
             column: name.clone(),
             base: *base,
-            expected: match T::reads(*base, WordSize::Bits32) && size == WordSize::Bits64 {
-                true => "i64, u64 or f64, since numbers have 64 bits",
+            expected: match size == WordSize::Bits64 && !base.is_interned() && T::reads(*base, WordSize::Bits32) {
+                true if *base == BaseType::Number => "`i64`, since numbers have 64 bits",
+                true if *base == BaseType::Unsigned => "`u64`, since numbers have 64 bits",
+                true => "`f64`, since numbers have 64 bits",
                 false => T::NAME,
             },
         }),
@@ -402,19 +404,21 @@ fn check_arity(predicate: &Predicate, found: usize) -> Result<(), RowError> {
     }
 }
 
-/// Checks that the words fit the predicate. `known` is the number of interned symbols.
+/// Checks that the words fit the predicate.
 #[inline]
-pub(crate) fn check_words(predicate: &Predicate, row: &[Value], known: usize) -> Result<(), RowError> {
+pub(crate) fn check_words(predicate: &Predicate, row: &[Value], symbols: &Symbols) -> Result<(), RowError> {
     check_arity(predicate, row.len())?;
-    let mut columns = row.iter().zip(&predicate.columns);
-    if columns
-        .any(|(value, column)| value.0 as usize >= known && matches!(column.base, BaseType::Symbol | BaseType::Record))
-    {
-        return Err(RowError::UnknownSymbol {
+    let known = symbols.len();
+    let is_known = |(value, column): (&Value, &Column)| match column.base {
+        BaseType::Symbol | BaseType::Record => (value.0 as usize) < known,
+        BaseType::Number | BaseType::Unsigned | BaseType::Float => symbols.is_number(value.0),
+    };
+    match row.iter().zip(&predicate.columns).all(is_known) {
+        true => Ok(()),
+        false => Err(RowError::UnknownSymbol {
             predicate: predicate.name.clone(),
-        });
+        }),
     }
-    Ok(())
 }
 
 /// Returns the word of a value; `None` if it does not fit the type.
@@ -422,7 +426,7 @@ pub(crate) fn word_of(
     value: &dyn ToValue,
     (ty, base): (TypeId, BaseType),
     types: &[Type],
-    words: &Interning<'_>,
+    words: &WordEncoder<'_>,
 ) -> Option<Value> {
     match (base, value.text()) {
         (BaseType::Record, Some(text)) => read(text, ty, types, words).ok(),
@@ -435,7 +439,7 @@ pub(crate) fn encode(
     predicate: &Predicate,
     row: &impl IntoRow,
     types: &[Type],
-    interning: &Interning<'_>,
+    interning: &WordEncoder<'_>,
     words: &mut Vec<Value>,
 ) -> Result<(), RowError> {
     let values = row.values();
@@ -552,8 +556,8 @@ impl fmt::Display for RowError {
             } => {
                 let expected = match base {
                     BaseType::Symbol => "a symbol",
-                    BaseType::Number => "a number of 32 bits",
-                    BaseType::Unsigned => "an unsigned number of 32 bits",
+                    BaseType::Number => "a number in the range of the program",
+                    BaseType::Unsigned => "an unsigned number in the range of the program",
                     BaseType::Float => "a float",
                     BaseType::Record => "the text of a record of its type",
                 };

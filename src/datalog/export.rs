@@ -92,7 +92,7 @@ fn argument_base(functor: Functor, base: BaseType, at: usize) -> BaseType {
 }
 
 /// Refuses programs with numbers of 64 bits.
-fn refuse_long(rules: &Rules) -> Result<(), Vec<Diagnostic>> {
+fn refuse_64_bits(rules: &Rules) -> Result<(), Vec<Diagnostic>> {
     match rules.symbols.word_size() {
         WordSize::Bits32 => Ok(()),
         WordSize::Bits64 => {

@@ -10,7 +10,7 @@ use crate::codes;
 use crate::convert::read;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span, counted};
 use crate::session::Session;
-use crate::symbol::{Interning, Symbol};
+use crate::symbol::{Symbol, WordEncoder, WordSize};
 use crate::syntax::ast::BaseType;
 use crate::value::{self, Value, number_text, parse_in, print_record};
 use std::borrow::Cow;
@@ -138,10 +138,25 @@ pub fn load_as(
                 rows.push(value);
                 continue;
             }
+            let long = session.symbols().word_size() == WordSize::Bits64;
             let (what, label) = match column.base {
-                BaseType::Unsigned => ("unsigned numbers", "not a 32-bit decimal number without a sign"),
+                BaseType::Unsigned => (
+                    "unsigned numbers",
+                    if long {
+                        "not a 64-bit decimal number without a sign"
+                    } else {
+                        "not a 32-bit decimal number without a sign"
+                    },
+                ),
                 BaseType::Float => ("floats", "not a decimal number"),
-                _ => ("numbers", "not a 32-bit decimal number"),
+                _ => (
+                    "numbers",
+                    if long {
+                        "not a 64-bit decimal number"
+                    } else {
+                        "not a 32-bit decimal number"
+                    },
+                ),
             };
             let message = format!("column `{}` of `{}` holds {what}", column.name, predicate.name);
             faults.push(Diagnostic::new(codes::INVALID_FACT, message).at(span(field), label));
@@ -309,7 +324,7 @@ fn parse_record(session: &Session, column: &Column, text: &str, format: &RowForm
         &unquoted,
         column.ty,
         types,
-        &Interning::new(&symbol, session.symbols().word_size()),
+        &WordEncoder::new(&symbol, session.symbols().word_size()),
     )
     .map_err(|fault| {
         let at = fault.at + usize::from(unquoted.len() < text.len());

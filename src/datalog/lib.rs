@@ -105,7 +105,7 @@
 //!
 //! - A predicate has at most 32 columns; a clause has at most 128 variables and 128 literals ([`Program::new`]).
 //! - A stratum with a clause of more than 24 literals is recomputed, never maintained.
-//! - Values have 32 bits ([`Value`]). Whole numbers wrap around.
+//! - Numbers have 32 bits, or 64 ([`Workspace::set_word_size`]). Whole numbers wrap around.
 //! - A commit stays within [`Limits`]: by default 10⁸ derived rows, 10¹¹ scanned rows and 4 GiB. Beyond that it fails
 //!   with an [`EvalError`], and the session stays as it was. The limits count work, so the outcome does not depend on
 //!   time.
@@ -193,6 +193,7 @@ pub mod internal {
     pub use crate::eval::limits::size;
     pub use crate::spans::Spans;
     pub use crate::value::{NIL, record_fields, record_source, shortened, shown_number, whole_record};
+    pub use crate::workspace::moved;
 
     pub mod threads {
         pub use crate::threads::{Pool, start};

@@ -11,7 +11,7 @@ use crate::files::{ReadError, ReadFile};
 #[cfg(feature = "optimizer")]
 use crate::plan::optimize;
 use crate::plan::{Compiled, Plans};
-use crate::symbol::Interning;
+use crate::symbol::WordEncoder;
 use crate::value::Value;
 use crate::workspace;
 
@@ -170,7 +170,7 @@ impl Program {
                             &value,
                             (ty, base),
                             &types,
-                            &Interning::new(&symbol, symbols.word_size()),
+                            &WordEncoder::new(&symbol, symbols.word_size()),
                         );
                         let misfit = || {
                             format!(

@@ -236,7 +236,7 @@ pub(crate) fn copied(record: u32, from: &Symbols, to: &Symbols) -> u32 {
         let words = fields().map(|(kind, word)| match kind {
             RECORD => done[&word],
             SYMBOL => string(word),
-            _ => word,
+            _ => to.number_of(word, from),
         });
         let text = encoded(string(parts.shape), words);
         done.insert(record, to.intern(&text).0);

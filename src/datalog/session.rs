@@ -15,7 +15,7 @@ use crate::eval::stats::{EvalEvent, EvalStats, Strategy};
 use crate::eval::workers::{Threads, Workers};
 use crate::history::History;
 use crate::program::Program;
-use crate::symbol::{Interning, Symbols};
+use crate::symbol::{Symbols, WordEncoder, WordSize};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::Value;
 
@@ -163,13 +163,13 @@ impl Session {
                     predicate,
                     row,
                     &self.program.rules().types,
-                    &Interning::new(&symbol, self.symbols.word_size()),
+                    &WordEncoder::new(&symbol, self.symbols.word_size()),
                     &mut encoded,
                 )?;
                 &encoded
             }
         };
-        check_words(predicate, words, self.symbols.len())?;
+        check_words(predicate, words, &self.symbols)?;
         if !holds && !self.history.given.is_empty() {
             self.history.given.remove(&(to, words.into()));
         }
@@ -213,7 +213,8 @@ impl Session {
         let symbol = |text: &str| Some(self.symbols.intern(text));
         let mut encoded = Vec::new();
         let types = &self.program.rules().types;
-        let symbolic = predicate.columns.iter().any(|column| column.base.is_interned());
+        let is_long = self.symbols.word_size() == WordSize::Bits64;
+        let symbolic = is_long || predicate.columns.iter().any(|column| column.base.is_interned());
         let before = self.store.pending(to);
         let mut words: Vec<Value> = Vec::with_capacity(PART);
         let rows = rows.into_iter();
@@ -221,17 +222,17 @@ impl Session {
         for row in rows {
             let row = match row.words() {
                 Some(words) if !symbolic && words.len() == arity => Ok(words),
-                Some(words) => check_words(predicate, words, self.symbols.len()).map(|()| words),
+                Some(words) => check_words(predicate, words, &self.symbols).map(|()| words),
                 None => {
                     encoded.clear();
                     encode(
                         predicate,
                         &row,
                         types,
-                        &Interning::new(&symbol, self.symbols.word_size()),
+                        &WordEncoder::new(&symbol, self.symbols.word_size()),
                         &mut encoded,
                     )
-                    .and_then(|()| check_words(predicate, &encoded, self.symbols.len()))
+                    .and_then(|()| check_words(predicate, &encoded, &self.symbols))
                     .map(|()| encoded.as_slice())
                 }
             };
@@ -512,7 +513,7 @@ impl Session {
             predicate,
             &row,
             &self.program.rules().types,
-            &Interning::new(&symbol, self.symbols.word_size()),
+            &WordEncoder::new(&symbol, self.symbols.word_size()),
             &mut words,
         );
         encoded.is_ok() && self.store.contains(id, &words)

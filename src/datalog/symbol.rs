@@ -33,8 +33,8 @@ pub struct Symbols {
 
 /// The size of `number`, `unsigned` and `float`.
 ///
-/// A row has 32 bits for each column in both sizes. With 64 bits, a number below 2^31 is its own word, and any other is
-/// [interned](Symbols::intern_bits) like a string, which takes more memory and time.
+/// A row has 32 bits for each column in both sizes. With 64 bits, a whole number from 0 to 2^31 - 1 is its own word. Any
+/// other number, and each float but 0, is interned like a string, which takes more memory and time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum WordSize {
     /// `number` is an `i32`, `unsigned` a `u32`, `float` an `f32`.
@@ -44,10 +44,10 @@ pub enum WordSize {
     Bits64,
 }
 
-/// What begins the string of a number of 64 bits.
-const BITS: char = '\u{e001}';
+/// The first character of the string of an interned number.
+const NUMBER_PREFIX: char = '\u{e001}';
 
-/// What distinguishes the word of an interned number.
+/// The bit that marks the word of an interned number.
 const INTERNED: u32 = 1 << 31;
 
 type Block = Box<[OnceLock<Arc<str>>]>;
@@ -61,21 +61,22 @@ const STRING_BYTES: u64 = 128;
 /// The number of blocks that hold 2^32 strings.
 const BLOCKS: usize = 27;
 
+/// Returns the string of an interned number.
 fn text_of_bits(bits: u64) -> String {
-    format!("{BITS}{bits:016x}")
+    format!("{NUMBER_PREFIX}{bits:016x}")
 }
 
-/// What gives words to values: it interns strings, or only finds those that are known.
+/// Encodes values as words. The function given to [`WordEncoder::new`] interns strings, or finds known ones only.
 #[derive(Clone, Copy)]
-pub struct Interning<'a> {
+pub struct WordEncoder<'a> {
     symbol: &'a dyn Fn(&str) -> Option<Symbol>,
     size: WordSize,
 }
 
-impl<'a> Interning<'a> {
-    /// Creates it from the function that maps strings, and the size of numbers.
+impl<'a> WordEncoder<'a> {
+    /// Creates an encoder from the function that maps strings, and the size of numbers.
     pub fn new(symbol: &'a dyn Fn(&str) -> Option<Symbol>, size: WordSize) -> Self {
-        Interning { symbol, size }
+        WordEncoder { symbol, size }
     }
 
     /// Returns the size of numbers.
@@ -123,6 +124,23 @@ impl Symbols {
         self.word_size
     }
 
+    /// Returns whether a word stands for a number: in 64 bits, it is small or interned.
+    pub(crate) fn is_number(&self, word: u32) -> bool {
+        let is_interned = || {
+            let text = self.resolve(Symbol(word & !INTERNED));
+            text.is_some_and(|text| text.starts_with(NUMBER_PREFIX))
+        };
+        self.word_size == WordSize::Bits32 || word < INTERNED || is_interned()
+    }
+
+    /// Returns the word in this table of a number in another one.
+    pub(crate) fn number_of(&self, word: u32, from: &Symbols) -> u32 {
+        match self.word_size {
+            WordSize::Bits32 => word,
+            WordSize::Bits64 => self.intern_bits(from.bits(word)),
+        }
+    }
+
     /// Returns the word of a number of 64 bits.
     pub(crate) fn intern_bits(&self, bits: u64) -> u32 {
         match u32::try_from(bits) {
@@ -141,7 +159,7 @@ impl Symbols {
             return word.into();
         }
         let text = self.resolve(Symbol(word & !INTERNED)).unwrap_or_default();
-        let digits = text.strip_prefix(BITS).unwrap_or_default();
+        let digits = text.strip_prefix(NUMBER_PREFIX).unwrap_or_default();
         digits.bytes().fold(0, |bits, digit| {
             bits << 4 | u64::from(char::from(digit).to_digit(16).unwrap_or_default())
         })

@@ -12,7 +12,7 @@ use std::collections::HashMap;
 
 use crate::chance;
 use crate::record;
-use crate::symbol::{Interning, Symbol, Symbols, WordSize};
+use crate::symbol::{Symbol, Symbols, WordEncoder, WordSize};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{Functor, Functor::*};
 use crate::syntax::quoted;
@@ -98,7 +98,7 @@ impl Value {
     }
 }
 
-impl Interning<'_> {
+impl WordEncoder<'_> {
     /// Returns the word of a whole number in a column of this base type; `None` if it does not fit.
     pub fn whole(&self, base: BaseType, number: i128) -> Option<Value> {
         match (base, self.size()) {
@@ -207,7 +207,7 @@ impl Functor {
             _ => {}
         }
         if symbols.word_size() == WordSize::Bits64 && !matches!(base, BaseType::Symbol | BaseType::Record) {
-            return self.apply_to_long(base, arguments, symbols);
+            return self.apply_64(base, arguments, symbols);
         }
         match base {
             BaseType::Symbol => {
@@ -230,26 +230,22 @@ impl Functor {
     }
 
     /// Applies an operation to numbers of 64 bits.
-    fn apply_to_long(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> Option<Value> {
+    fn apply_64(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> Option<Value> {
         match base {
             BaseType::Number => {
-                let found = fold(
-                    arguments,
-                    |value| value.to_number(symbols),
-                    |all| self.long_numbers(all),
-                )?;
+                let found = fold(arguments, |value| value.to_number(symbols), |all| self.numbers_64(all))?;
                 Value::of_number(found, symbols)
             }
             BaseType::Unsigned => {
                 let found = fold(
                     arguments,
                     |value| value.to_unsigned(symbols),
-                    |all| self.long_unsigned(all),
+                    |all| self.unsigned_64(all),
                 )?;
                 Value::of_unsigned(found, symbols)
             }
             _ => {
-                let found = fold(arguments, |value| value.to_float(symbols), |all| self.doubles(all))?;
+                let found = fold(arguments, |value| value.to_float(symbols), |all| self.floats_64(all))?;
                 Some(Value::of_float(found, symbols))
             }
         }
@@ -375,7 +371,7 @@ macro_rules! operations {
 }
 
 operations!(numbers: i32, unsigned: u32, floats: f32);
-operations!(long_numbers: i64, long_unsigned: u64, doubles: f64);
+operations!(numbers_64: i64, unsigned_64: u64, floats_64: f64);
 
 /// Returns the alternative that a draw chooses; [`chance`] describes the arguments.
 fn choose(arguments: &[Value], symbols: &Symbols) -> Option<Value> {
@@ -546,7 +542,7 @@ pub fn shown_number(base: BaseType, value: Value, symbols: &Symbols) -> String {
 /// Parses a number, unsigned number or float of a program with these symbols; `None` if the text does not fit the type.
 pub fn parse_in(base: BaseType, text: &str, symbols: &Symbols) -> Option<Value> {
     let symbol = |text: &str| Some(symbols.intern(text));
-    Interning::new(&symbol, symbols.word_size()).parse(base, text)
+    WordEncoder::new(&symbol, symbols.word_size()).parse(base, text)
 }
 
 /// Parses a hexadecimal (`0x`) or binary (`0b`) number of up to 64 bits.
@@ -717,7 +713,7 @@ fn print_double(x: f64, digits: usize) -> String {
         true => digits.trim_end_matches('0').trim_end_matches('.').to_owned(),
         false => digits.to_owned(),
     };
-    // The exponents at which C++ begins to write one, for nine digits.
+    // C++ writes an exponent below 1e-4, and above what the digits hold.
     if (-4..digits.max(9) as i32).contains(&exponent) {
         let decimals = usize::try_from(digits as i32 - 1 - exponent).unwrap_or_default();
         trim(&format!("{x:.decimals$}"))

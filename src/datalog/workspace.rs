@@ -485,22 +485,19 @@ impl Workspace {
         }
         let variables = variables(body);
         let names: Vec<&str> = variables.iter().map(|(name, _)| *name).collect();
-        let bases = self.bases(&clause, &names, &mut faults);
+        let types = self.types(&clause, &names, &mut faults);
         if faults.failed() {
             let mut found = of(place.0.source, faults);
             found.retain(Diagnostic::is_error);
             return Loaded::failed(found);
         }
-        let columns = (variables.iter().zip(bases))
-            .map(|(&(name, place), base)| ColumnDecl {
+        let columns = (variables.iter().zip(types))
+            .map(|(&(name, place), text)| ColumnDecl {
                 name: Name {
                     text: name.to_owned(),
                     place,
                 },
-                ty: Name {
-                    text: base.name().to_owned(),
-                    place,
-                },
+                ty: Name { text, place },
             })
             .collect();
         clause.heads[0].terms = (variables.iter())
@@ -525,8 +522,9 @@ impl Workspace {
         }
     }
 
-    /// Returns the base types of the variables in the body of a clause whose head has no columns.
-    fn bases(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<BaseType> {
+    /// Returns the names of types of the variables in the body of a clause whose head has no columns: of a record that of
+    /// a column where it occurs, and otherwise the base type.
+    fn types(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<String> {
         let items = self.asked(Vec::new(), clause.clone());
         let mut known = names::declare(&items, true, self.policy, faults);
         let checked = clause::check(
@@ -536,14 +534,22 @@ impl Workspace {
             faults,
         );
         known.report_unknown(&self.gathered.offered, faults);
-        let base_of = |name: &&str| {
+        let type_of = |name: &&str| {
             checked.clauses.iter().find_map(|checked| {
                 let position = checked.clause.variables.iter().position(|known| known == name)?;
-                checked.bases[position]
+                let base = checked.bases[position]?;
+                let column = |atom: &rules::Atom| {
+                    let at = |term: &rules::Term| term.variable().is_some_and(|id| id.index() == position);
+                    let column = atom.terms.iter().position(at)?;
+                    Some(known.type_name(known.predicate(atom.predicate).columns[column].ty))
+                };
+                let atoms = checked.clause.body.iter().filter_map(rules::Literal::atom);
+                let record = atoms.filter_map(column).next().filter(|_| base == BaseType::Record);
+                Some(record.unwrap_or(base.name()).to_owned())
             })
         };
         (variables.iter())
-            .map(|name| base_of(name).unwrap_or(BaseType::Symbol))
+            .map(|name| type_of(name).unwrap_or_else(|| BaseType::Symbol.name().to_owned()))
             .collect()
     }
 
@@ -685,11 +691,11 @@ fn canonical(clause: &Clause) -> Clause {
 }
 
 /// Translates a value from one symbol table to another.
-fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
+pub fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
     match base {
         BaseType::Symbol => Value(to.intern(from.resolve(Symbol(value.0)).unwrap_or_default()).0),
         BaseType::Record => Value(record::copied(value.0, from, to)),
-        _ => value,
+        BaseType::Number | BaseType::Unsigned | BaseType::Float => Value(to.number_of(value.0, from)),
     }
 }
 

@@ -45,7 +45,7 @@ pub fn check_flat(mut file: impl Read + Seek) -> io::Result<()> {
     }
 }
 
-/// What is left of a footer, in the compact protocol of Thrift. Methods return `None` at bytes that are no such value.
+/// The unread bytes of a footer, in the compact protocol of Thrift. Methods return `None` at bytes that are no such value.
 struct Footer<'a>(&'a [u8]);
 
 impl Footer<'_> {
@@ -138,19 +138,13 @@ impl Footer<'_> {
         }
     }
 
-    /// Returns whether only the first element of the schema, which is field 2, has children, which is field 5 of an
-    /// element.
+    /// Returns whether only the first element of the schema, which is field 2 after the version, has children, which is
+    /// field 5 of an element. `None` also for a footer that another reader may take for something else: with fields out
+    /// of order, repeated, or of another type.
     fn only_root_has_children(&mut self) -> Option<bool> {
-        let mut last = 0;
-        loop {
-            let (number, ty) = self.field(last)?;
-            match (number, ty) {
-                (2, LIST) => break,
-                (_, 0) => return None,
-                (_, ty) => self.skip(ty, false, DEPTH_MAX)?,
-            }
-            last = number;
-        }
+        let (1, I32) = self.field(0)? else { return None };
+        self.skip(I32, false, DEPTH_MAX)?;
+        let (2, LIST) = self.field(1)? else { return None };
         let (count, STRUCT) = self.list()? else {
             return None;
         };
@@ -160,11 +154,13 @@ impl Footer<'_> {
                 let (number, ty) = self.field(last)?;
                 match (number, ty) {
                     (_, 0) => break,
+                    _ if number <= last || number > i16::MAX.into() => return None,
                     (5, I32) => {
-                        if self.zigzag()? > 0 && index > 0 {
+                        if i32::try_from(self.zigzag()?).ok()? != 0 && index > 0 {
                             return Some(false);
                         }
                     }
+                    (5, _) => return None,
                     (_, ty) => self.skip(ty, false, DEPTH_MAX)?,
                 }
                 last = number;
@@ -217,8 +213,19 @@ mod tests {
             }
         }
         assert!(refused > 0, "every damage was overlooked");
-        // A list of 2^63 elements, and lists in lists without end.
-        for body in [&b"\x19\xfc\xff\xff\xff\xff\xff\xff\xff\xff\x7f"[..], &[0x19; 100_000]] {
+        let bodies: [&[u8]; 7] = [
+            // A list of 2^63 elements, and lists in lists without end.
+            b"\x15\x02\x19\xfc\xff\xff\xff\xff\xff\xff\xff\xff\x7f",
+            &[0x19; 100_000],
+            // Without a version, with a set for the schema, and with the numbers of children in 64 bits.
+            b"\x29\x1c\x55\x02\x00\x00",
+            b"\x15\x02\x1a\x1c\x55\x02\x00\x00",
+            b"\x15\x02\x19\x1c\x56\x06\x00\x00",
+            // Field 65,541, which is 5 in 16 bits, and field 5 twice.
+            b"\x15\x02\x19\x1c\x05\x8a\x80\x08\x06\x00\x00",
+            b"\x15\x02\x19\x1c\x55\x00\x05\x0a\x06\x00\x00",
+        ];
+        for body in bodies {
             let mut bad = b"PAR1".to_vec();
             bad.extend_from_slice(body);
             bad.extend_from_slice(&u32::try_from(body.len()).unwrap().to_le_bytes());

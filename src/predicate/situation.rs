@@ -46,7 +46,7 @@ pub struct Situations {
 /// The maximum number of predicates over two agents.
 const PAIRS_MAX: usize = 64;
 
-/// The maximum number of predicates that hold with a probability. Each doubles the truth values of a situation.
+/// The maximum number of predicates that hold with a probability. Each floats_64 the truth values of a situation.
 const DRAWN_MAX: u32 = 4;
 
 /// The maximum distance of two agents in rows and in columns. Beyond it, the situations are incomplete.

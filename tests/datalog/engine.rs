@@ -1566,11 +1566,11 @@ fn errors_of_rows_name_relation_column_and_what_was_expected() {
     let mut message = |row: (&str, i64, i64, f64)| session.insert("person", row).unwrap_err().to_string();
     assert_eq!(
         message(("Ada", 3_000_000_000, 7, 1.9)),
-        "the column `born` of `person` expects a number of 32 bits, not 3000000000"
+        "the column `born` of `person` expects a number in the range of the program, not 3000000000"
     );
     assert_eq!(
         message(("Ada", 1815, -7, 1.9)),
-        "the column `id` of `person` expects an unsigned number of 32 bits, not -7"
+        "the column `id` of `person` expects an unsigned number in the range of the program, not -7"
     );
     let swapped = session.insert("person", (1815, "Ada", 7, 1.9)).unwrap_err();
     assert_eq!(
@@ -1580,7 +1580,7 @@ fn errors_of_rows_name_relation_column_and_what_was_expected() {
     let number = session.insert("person", ("Ada", 1.5, 7, 1.9)).unwrap_err();
     assert_eq!(
         number.to_string(),
-        "the column `born` of `person` expects a number of 32 bits, not the float 1.5"
+        "the column `born` of `person` expects a number in the range of the program, not the float 1.5"
     );
     let float = session.insert("person", ("Ada", 1815, 7, "high")).unwrap_err();
     assert_eq!(

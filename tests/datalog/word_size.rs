@@ -112,7 +112,7 @@ fn rows_are_typed() {
     assert!(!session.contains("q", (i64::MAX,)));
     assert_eq!(shown(&session, "r"), "[-5000000000, [7, nil]]");
     let error = session.rows::<(i32,)>("q").err().unwrap().to_string();
-    assert!(error.contains("i64, u64 or f64, since numbers have 64 bits"), "{error}");
+    assert!(error.contains("`i64`, since numbers have 64 bits"), "{error}");
     session.retract("p", row).unwrap();
     session.commit().unwrap();
     assert_eq!(
@@ -162,11 +162,64 @@ fn proofs_and_files_show_64_bits() {
 }
 
 #[test]
+fn facts_are_translated_between_tables() {
+    let text = ".type R = [x: number, y: R]\n.decl p(x: number, y: float, z: R)\n.input p\n";
+    let mut sources = Sources::new();
+    let entry = sources.add("main.dl", text);
+    let mut workspace = Workspace::new(InputPolicy::Extensible);
+    workspace.set_word_size(WordSize::Bits64);
+    workspace.add(&mut sources, entry, &RuleFiles);
+    let rules = workspace.check().rules.expect("no faults");
+    let session = Program::new(rules).expect("small").session();
+    let symbols = session.symbols();
+    // Symbols with the ids that the numbers have in the table of the fact.
+    (0..10).for_each(|number| _ = symbols.intern(&number.to_string()));
+    let question = sources.add("question", "p(-5, 0.5, _)");
+    let asked = workspace.fact(&sources, question, symbols).expect("a fact");
+    let shown = |value: Option<Value>, base| facts::print_value(&session, value.expect("no wildcard"), base);
+    let bases = [BaseType::Number, BaseType::Float, BaseType::Record];
+    assert_eq!(shown(asked.values[0], bases[0]), "-5");
+    assert_eq!(shown(asked.values[1], bases[1]), "0.5");
+    let given = sources.add("given", "p(-7, -0.5, [-8, nil]).");
+    let found = workspace
+        .facts(&sources, given, symbols)
+        .expect("facts")
+        .expect("only facts");
+    let values: Vec<String> = (found[0].1.iter().zip(bases))
+        .map(|(value, base)| shown(Some(*value), base))
+        .collect();
+    assert_eq!(values, ["-7", "-0.5", "[-8, nil]"]);
+    // Words that stand for no number are refused.
+    let mut session = session;
+    let row = [Value::number(-1), Value::float(0.5), found[0].1[2]];
+    assert!(session.insert("p", row).is_err());
+}
+
+#[test]
+fn computed_numbers_count_toward_the_memory() {
+    let text = ".decl n, a, b(x: number)\n.input a, b\nn(x) :- a(x), b(y), x * y - 1 < -9000000000000000000.\n";
+    let program = Program::new(rules(text)).expect("small");
+    let mut session = program.session();
+    session.set_limits(logicity_datalog::Limits {
+        bytes: 8 << 20,
+        ..session.limits()
+    });
+    for name in ["a", "b"] {
+        let rows = (0..1_000_i64).map(|number| (number * 1_000_003,));
+        session.insert_all(name, rows).unwrap();
+    }
+    let error = session.commit().err().map(|error| error.to_string());
+    assert!(error.as_ref().is_some_and(|error| error.contains("MiB")), "{error:?}");
+}
+
+#[test]
 fn what_needs_32_bits_is_refused() {
     for (text, said) in [
         ("0.5 :: p(1).\n", "have no draws"),
         ("p(x) :- q(x), once[1,2] q(x).\n", "have no temporal operators"),
         ("p(18446744073709551616).\n", "number out of range"),
+        ("p(\"5000000000\").\n", "write the number without quotes: `5000000000`"),
+        ("p(2.5).\n", "such as `2`"),
         ("p(9223372036854775808).\n", "numbers range from -9223372036854775808"),
     ] {
         let (sources, loaded) = load(&format!(".decl p, q(x: number)\n.input q\n{text}"));
@@ -175,10 +228,16 @@ fn what_needs_32_bits_is_refused() {
     }
     let faults = export::souffle(&rules(".decl p(x: number)\np(1).\n")).unwrap_err();
     assert!(faults[0].message.contains("64 bits"), "{}", faults[0].message);
-    let narrow = Program::parse(".decl p(x: number)\np(5000000000).\n")
-        .unwrap_err()
-        .to_string();
-    assert!(narrow.contains("--word-size 64"), "{narrow}");
+    for text in [
+        ".decl p(x: number)\np(5000000000).\n",
+        ".decl p(x: unsigned)\np(5000000000u).\n",
+    ] {
+        let said = Program::parse(text).unwrap_err().to_string();
+        assert!(
+            said.contains("out of range") && said.contains("--word-size 64"),
+            "{said}"
+        );
+    }
 }
 
 /// The word of a value in another table, for numbers of 64 bits.

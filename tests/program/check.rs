@@ -555,7 +555,7 @@ fn reasons_against_the_dense_executor_name_the_clause_at_the_root() {
     }
 }
 
-/// Every predicate with a probability doubles the truth values of a situation. Claims about the first ones stay.
+/// Every predicate with a probability floats_64 the truth values of a situation. Claims about the first ones stay.
 #[test]
 fn many_predicates_with_probabilities_are_checked_in_seconds() {
     const COUNT: usize = 20;

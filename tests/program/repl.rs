@@ -55,6 +55,21 @@ fn facts_are_maintained_and_questions_answered() {
     assert_eq!(out, "Edge +2, Path +3\nEdge +1, Path +3\nx\n-\n1\n2\n2 rows\n");
 }
 
+/// Facts keep their values when a clause is added, and are found again.
+#[test]
+fn numbers_of_64_bits_and_records_outlive_new_clauses() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = ".type L = [head: number, tail: L]\n.decl p(x: number)\n.decl r(x: L)\n\
+                 p(-5). p(5000000000). p(7). r([-6, [6000000000, nil]]).\n\
+                 .decl q(x: number)\nq(x * 2) :- p(x).\nretract p(7).\np(-5).\n\
+                 .explain p(-5)\n.why-not p(8)\n?- q(x).\n?- r(x).\n";
+    let (out, err, code) = typed_in(folder.path(), &["--word-size", "64"], input);
+    assert_eq!((err.as_str(), code), ("", 0), "{out}");
+    for shown in ["        -10\n10000000000\n2 rows", "[-6, [6000000000, nil]]", "p(-5)"] {
+        assert!(out.contains(shown), "`{shown}` is missing in:\n{out}");
+    }
+}
+
 /// Errors in a later input do not repeat the warnings of earlier texts.
 #[test]
 fn warnings_are_printed_once() {

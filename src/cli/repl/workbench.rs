@@ -448,9 +448,7 @@ impl<'s> Workbench<'s> {
             }
             for mut row in given {
                 for (value, column) in row.iter_mut().zip(&predicate.columns) {
-                    if column.base == BaseType::Symbol {
-                        *value = to.intern(self.text(*value));
-                    }
+                    *value = datalog::internal::moved(*value, column.base, self.session.symbols(), to.symbols());
                 }
                 to.insert(place, &row).expect("predicate and columns fit");
             }

@@ -37,7 +37,8 @@ pub(crate) mod subsumption;
 pub(crate) mod temporal;
 pub(crate) mod witness;
 
-use crate::diag::Faults;
+use crate::codes;
+use crate::diag::{Diagnostic, Faults};
 use crate::symbol::{Symbols, WordSize};
 use crate::syntax::ast;
 use crate::syntax::include::Offered;
@@ -94,6 +95,23 @@ pub(crate) struct Elsewhere<'a> {
     pub offered: &'a Offered,
 }
 
+/// Refuses draws and temporal operators in a program with numbers of 64 bits, at the first clause with each.
+fn refuse_64_bits(items: &[ast::Item], faults: &mut Faults) {
+    let is_drawn = |item: &ast::Item| matches!(item, ast::Item::Clause(clause) if !clause.probabilities.is_empty());
+    let first = [
+        (items.iter().find(|item| is_drawn(item)), "draws"),
+        (items.iter().find(|item| temporal::in_item(item)), "temporal operators"),
+    ];
+    for (item, what) in first {
+        let Some(ast::Item::Clause(clause)) = item else {
+            continue;
+        };
+        let message = format!("programs with numbers of 64 bits have no {what}");
+        let fault = Diagnostic::new(codes::UNSUPPORTED, message).at(clause.place.0, "");
+        faults.push(fault.help("omit `--word-size 64`"));
+    }
+}
+
 /// Checks all items and interns their constants in `symbols`. The rules are `None` if there is an error. Owned items
 /// and facts are dropped as soon as they are checked. If a predicate is inline, there must be no packed facts.
 pub(crate) fn check(
@@ -107,10 +125,8 @@ pub(crate) fn check(
     let drawn = chance::lower(&written, faults);
     let without_chance = drawn.as_deref().unwrap_or(&written);
     let lowered = temporal::lower(without_chance, faults);
-    if policy.word_size == WordSize::Bits64 && (drawn.is_some() || lowered.is_some()) {
-        let what = if drawn.is_some() { "draws" } else { "temporal operators" };
-        let message = format!("programs with numbers of 64 bits have no {what}");
-        faults.push(crate::diag::Diagnostic::new(crate::codes::UNSUPPORTED, message).help("omit `--word-size 64`"));
+    if policy.word_size == WordSize::Bits64 {
+        refuse_64_bits(&written, faults);
     }
     let without_time = lowered.as_ref().map_or(without_chance, |lowered| &lowered.items);
     let replaced = inline::replace(without_time, faults);

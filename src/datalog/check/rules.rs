@@ -268,12 +268,11 @@ impl Predicate {
         self.columns.len()
     }
 
-    /// Returns the position of each column among the columns of a table: by name if the names are the same, and otherwise
-    /// in order.
+    /// Returns the position of each column among the columns of a table: by name if the names are the same, and
+    /// otherwise in order.
     ///
     /// # Errors
-    ///
-    /// A message if the table has more or fewer columns, or only some of the names, and they in another order.
+    /// If the number of columns differs, or if the name of a column stands at another position.
     pub fn positions_in(&self, table: &[&str]) -> Result<Vec<usize>, String> {
         let places = self.columns.iter();
         let places: Vec<Option<usize>> = places

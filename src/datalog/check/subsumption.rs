@@ -103,7 +103,7 @@ impl Kind {
 
 /// Returns the literals of a clause except aggregates. With `once_is_any`, a variable that occurs only once, in a
 /// positive atom, becomes [`Arg::Any`]. Otherwise each `_` of a positive atom becomes a fresh variable, numbered after
-/// those of the clause. Numbers of 64 bits compare as symbols do here: words do not tell their order.
+/// those of the clause. Numbers of 64 bits count as symbols here, since their words are not ordered as they are.
 pub(crate) fn facts(clause: &Clause, once_is_any: bool, size: WordSize) -> Vec<Fact> {
     let mut uses = vec![0_usize; clause.variables.len()];
     let mut count = |term: &Term| {

@@ -5,7 +5,7 @@
 
 use crate::check::{RecordShape, Type, TypeId, shapes};
 use crate::record;
-use crate::symbol::Interning;
+use crate::symbol::WordEncoder;
 use crate::syntax::functor::BaseType;
 use crate::value::Value;
 use std::borrow::Cow;
@@ -33,7 +33,12 @@ pub fn record_word<E>(
 }
 
 /// Returns the word of the record of a type with this text; `Err` with what is expected there.
-pub fn record_of_text(text: &str, ty: TypeId, types: &[Type], words: &Interning<'_>) -> Result<Value, Option<String>> {
+pub fn record_of_text(
+    text: &str,
+    ty: TypeId,
+    types: &[Type],
+    words: &WordEncoder<'_>,
+) -> Result<Value, Option<String>> {
     read(text, ty, types, words).map_err(|fault| fault.expected)
 }
 
@@ -45,7 +50,7 @@ struct Open<'t> {
 }
 
 /// Returns the word of the record that the text is. `symbol` maps a string to its symbol.
-pub(crate) fn read(text: &str, ty: TypeId, types: &[Type], words: &Interning<'_>) -> Result<Value, Fault> {
+pub(crate) fn read(text: &str, ty: TypeId, types: &[Type], words: &WordEncoder<'_>) -> Result<Value, Fault> {
     let mut reader = Reader { text, at: 0 };
     let word = |at: usize, text: &str| match words.symbol(text) {
         Some(symbol) => Ok(symbol.0),

@@ -11,6 +11,7 @@
 use crate::check::strata::components;
 use crate::check::{Clause, ClauseId, Literal, PredicateId, Rules, Term, VarId};
 use crate::diag::Span;
+use crate::symbol::Symbols;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::Functor;
 use std::collections::{BTreeMap, BTreeSet};
@@ -54,7 +55,9 @@ pub(crate) fn endless(rules: &Rules, clause: ClauseId) -> Option<Growth> {
     let recursive: BTreeSet<PredicateId> = stratum.predicates.iter().copied().collect();
     for way in WAYS {
         let clauses = stratum.clauses.iter().map(|id| &rules.clauses[id.index()]);
-        let edges: Vec<Edge> = clauses.flat_map(|clause| edges(clause, &recursive, way)).collect();
+        let edges: Vec<Edge> = clauses
+            .flat_map(|clause| edges(clause, &recursive, way, &rules.symbols))
+            .collect();
         let home = homes(&edges);
         let is_endless = |edge: &Edge| {
             let grows = matches!(edge.growth, Some((found, _)) if found == way);
@@ -80,7 +83,7 @@ fn homes(edges: &[Edge]) -> BTreeMap<ColumnNode, usize> {
 }
 
 /// Returns the ways in which the clause passes on values that nothing bounds in this direction.
-fn edges(clause: &Clause, recursive: &BTreeSet<PredicateId>, way: Way) -> Vec<Edge> {
+fn edges(clause: &Clause, recursive: &BTreeSet<PredicateId>, way: Way, symbols: &Symbols) -> Vec<Edge> {
     let mut found = Vec::new();
     for literal in &clause.body {
         let (Literal::Positive(atom) | Literal::Guard(atom)) = literal else {
@@ -91,7 +94,7 @@ fn edges(clause: &Clause, recursive: &BTreeSet<PredicateId>, way: Way) -> Vec<Ed
         }
         for (column, term) in atom.terms.iter().enumerate() {
             let Some(source) = term.variable() else { continue };
-            let passed = passed_on(clause, source);
+            let passed = passed_on(clause, source, symbols);
             if is_bounded(clause, recursive, &passed, way) {
                 continue;
             }
@@ -124,7 +127,7 @@ fn edges(clause: &Clause, recursive: &BTreeSet<PredicateId>, way: Way) -> Vec<Ed
 type Passed = BTreeMap<VarId, Option<(Way, Span, BaseType)>>;
 
 /// Returns the variables whose values come from `source`, each with what grew it on the way.
-fn passed_on(clause: &Clause, source: VarId) -> Passed {
+fn passed_on(clause: &Clause, source: VarId, symbols: &Symbols) -> Passed {
     let mut passed = Passed::from([(source, None)]);
     let mut changed = true;
     while std::mem::take(&mut changed) {
@@ -154,7 +157,7 @@ fn passed_on(clause: &Clause, source: VarId) -> Passed {
                     let (Some(from), Some(to)) = (from, to.variable()) else {
                         continue;
                     };
-                    let own = grows(*functor, *base, arguments).map(|way| (way, *span, *base));
+                    let own = grows(*functor, *base, arguments, symbols).map(|way| (way, *span, *base));
                     (to, from.or(own))
                 }
                 _ => continue,
@@ -169,10 +172,10 @@ fn passed_on(clause: &Clause, source: VarId) -> Passed {
 }
 
 /// Returns the direction in which repeated application of the functor makes new values; `None` if they repeat soon.
-fn grows(functor: Functor, base: BaseType, arguments: &[Term]) -> Option<Way> {
+fn grows(functor: Functor, base: BaseType, arguments: &[Term], symbols: &Symbols) -> Option<Way> {
     let sign = |term: &Term| match (term, base) {
-        (Term::Constant(value), BaseType::Number) => Some(value.as_number() < 0),
-        (Term::Constant(value), BaseType::Float) => Some(value.as_float() < 0.0),
+        (Term::Constant(value), BaseType::Number) => Some(value.to_number(symbols) < 0),
+        (Term::Constant(value), BaseType::Float) => Some(value.to_float(symbols) < 0.0),
         (Term::Constant(_), _) => Some(false),
         _ => None,
     };

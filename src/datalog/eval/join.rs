@@ -9,7 +9,7 @@ use crate::eval::output::{Abort, Output};
 use crate::eval::word_sets::WordSets;
 use crate::plan::steps::{List, Plan, Slot, Source, Step};
 use crate::row::{AnyBatch, AnyRows, Batch, ByWidth, Row, each_width, gallop};
-use crate::symbol::{Symbol, Symbols};
+use crate::symbol::{Symbol, Symbols, WordSize};
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::{Patterns, Value};
@@ -227,6 +227,9 @@ impl<const W: usize> Join<'_, W> {
                             None => return Ok(false),
                         },
                         true => self.make(*functor, *base, arguments)?,
+                        false if self.symbols.word_size() == WordSize::Bits64 => {
+                            self.make(*functor, *base, arguments)?
+                        }
                         false => self.compute(*functor, *base, arguments),
                     };
                     self.fill(*to, *test, value)
@@ -251,6 +254,10 @@ impl<const W: usize> Join<'_, W> {
                     let values =
                         ranges().flat_map(|range| (0..range.len()).map(move |at| range.words(at)[*column as usize]));
                     let value = op.of(*base, values, self.symbols);
+                    // The sum and the mean of numbers of 64 bits may be new.
+                    if self.symbols.bytes() > self.symbol_bytes && self.symbols.word_size() == WordSize::Bits64 {
+                        return Err(Abort::Memory);
+                    }
                     self.fill(*to, *test, value)
                 }
                 step @ Step::Correlated { to, test, .. } => {

@@ -93,7 +93,7 @@ const LANGUAGE: &str = "plain Soufflé";
 /// What plain Soufflé cannot express with the same meaning: records, draws, temporal operators, choices, subsumption,
 /// counters, casts, user-defined functors, and tables in Parquet.
 pub fn souffle(rules: &Rules) -> Result<String, Vec<Diagnostic>> {
-    super::refuse_long(rules)?;
+    super::refuse_64_bits(rules)?;
     let mut faults = Faults::default();
     check(rules, LANGUAGE, &mut faults);
     let mut names = Names::avoiding(&KEYWORDS);

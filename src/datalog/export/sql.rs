@@ -51,7 +51,7 @@ const UNIT: &str = "holds";
 /// What SQL cannot express: recursion of several predicates through each other, recursion that is not linear, functors
 /// without a counterpart of the same meaning, and what [`souffle`](super::souffle) refuses.
 pub fn sql(rules: &Rules) -> Result<String, Vec<Diagnostic>> {
-    super::refuse_long(rules)?;
+    super::refuse_64_bits(rules)?;
     let mut faults = Faults::default();
     check(rules, LANGUAGE, &mut faults);
     let mut names = Names::default();
@@ -139,7 +139,11 @@ impl Writer<'_> {
             .iter()
             .map(|column| format!("{} is not null", quoted(column)))
             .collect();
-        format!("(select distinct * from {name} where {})", present.join(" and "))
+        format!(
+            "(select distinct {} from {name} where {})",
+            self.columns(id),
+            present.join(" and ")
+        )
     }
 
     fn columns(&self, id: PredicateId) -> String {

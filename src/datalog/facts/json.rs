@@ -8,7 +8,7 @@ use crate::diag::{Diagnostic, counted};
 use crate::eval::limits::EvalError;
 use crate::facts::ordered;
 use crate::session::Session;
-use crate::symbol::{Interning, Symbol, Symbols};
+use crate::symbol::{Symbol, Symbols, WordEncoder};
 use crate::syntax::ast::BaseType;
 use crate::value::{self, Value, parse_in, shortened};
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
@@ -349,7 +349,7 @@ impl<'de> Visitor<'de> for CellReader<'_> {
                 text,
                 self.column.ty,
                 self.types,
-                &Interning::new(&symbol, self.symbols.word_size()),
+                &WordEncoder::new(&symbol, self.symbols.word_size()),
             )
             .map_err(|fault| {
                 E::custom(format!(

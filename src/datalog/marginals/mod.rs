@@ -37,7 +37,7 @@ use crate::marginals::formulas::{Given, Source};
 use crate::marginals::grounding::{Grounding, LIFTED_MAX, liftable};
 use crate::program::Program;
 use crate::session::Session;
-use crate::symbol::{Interning, Symbols};
+use crate::symbol::{Symbols, WordEncoder};
 use crate::syntax::ast::BaseType;
 use crate::value::{Value, symbol_hash};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -260,9 +260,8 @@ impl Marginals {
     ) -> Result<(), RowError> {
         let program = self.program.clone();
         let (predicate, to) = program.base(predicate)?;
-        let symbols = self.symbols.len();
         for (row, probability) in rows {
-            check_words(predicate, row.as_ref(), symbols)?;
+            check_words(predicate, row.as_ref(), &self.symbols)?;
             self.add(to, FactRow::from_slice(row.as_ref()), probability)?;
         }
         Ok(())
@@ -371,13 +370,13 @@ impl Marginals {
                     predicate,
                     row,
                     &self.program.rules().types,
-                    &Interning::new(&symbol, self.symbols.word_size()),
+                    &WordEncoder::new(&symbol, self.symbols.word_size()),
                     &mut words,
                 )?;
                 words.into()
             }
         };
-        check_words(predicate, &words, self.symbols.len())?;
+        check_words(predicate, &words, &self.symbols)?;
         Ok((to, words))
     }
 
@@ -556,7 +555,7 @@ impl Marginals {
                     declared,
                     &row,
                     &self.program.rules().types,
-                    &Interning::new(&symbol, self.symbols.word_size()),
+                    &WordEncoder::new(&symbol, self.symbols.word_size()),
                     &mut words,
                 )
                 .ok()?;

@@ -9,11 +9,11 @@ use crate::chance;
 pub enum BaseType {
     /// An interned string.
     Symbol,
-    /// A 32-bit signed integer.
+    /// A signed integer of 32 bits, or [64](crate::symbol::WordSize).
     Number,
-    /// A 32-bit unsigned integer.
+    /// An unsigned integer of the same size.
     Unsigned,
-    /// A single-precision floating-point number.
+    /// A floating-point number of the same size.
     Float,
     /// An interned record, or `nil`.
     Record,

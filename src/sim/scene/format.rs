@@ -1126,7 +1126,7 @@ mod tests {
             let mut sources = Sources::new();
             let mut text = format!(" {{{}}} ", parts.join(", "));
             if random.random_bool(0.2) {
-                // Drops, doubles or replaces one character.
+                // Drops, floats_64 or replaces one character.
                 let at = text.floor_char_boundary(random.random_range(0..text.len()));
                 let found = &text[at..].chars().next().expect("a character").to_string();
                 let changed = ["", &found.repeat(2), "\"", "\t", "]", ",", "0"][random.random_range(0..7)].to_owned();

@@ -32,7 +32,7 @@ use crate::check::{Literal, PredicateId, Rules, Term};
 use crate::codes;
 use crate::diag::Diagnostic;
 use crate::naive;
-use crate::symbol::{Symbol, Symbols};
+use crate::symbol::{Symbol, Symbols, WordSize};
 use crate::syntax::ast::BaseType;
 use crate::value::{Value, record_text};
 use ground::{BaseFact, Circuit, TooLarge};
@@ -143,6 +143,13 @@ const MODELS_MAX: usize = 4;
 /// on the two sides, or is input on one side and derived on the other. If a predicate to compare is not declared on
 /// both sides.
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalence, Vec<Diagnostic>> {
+    if [left, right]
+        .iter()
+        .any(|rules| rules.symbols.word_size() == WordSize::Bits64)
+    {
+        let message = "programs with numbers of 64 bits cannot be compared";
+        return Err(vec![Diagnostic::new(codes::UNSUPPORTED, message)]);
+    }
     let looks_back = |rules: &Rules| {
         let past = rules.pasts.first()?;
         let fault = Diagnostic::new(codes::UNSUPPORTED, "rules with temporal operators cannot be compared");

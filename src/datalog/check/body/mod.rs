@@ -453,8 +453,11 @@ impl<'c> Check<'_, 'c> {
                 OperandKind::Constant(value, BaseType::Number)
             }
             TermKind::Unsigned(number) => {
-                let value = Value::of_unsigned(*number, self.symbols).unwrap_or_default();
-                OperandKind::Constant(value, BaseType::Unsigned)
+                let whole = Operand {
+                    kind: OperandKind::Whole((*number).into()),
+                    span,
+                };
+                OperandKind::Constant(self.value(whole, BaseType::Unsigned), BaseType::Unsigned)
             }
             TermKind::Float(text) => {
                 let value = parse_in(BaseType::Float, text, self.symbols).unwrap_or_default();
@@ -681,6 +684,7 @@ impl<'c> Check<'_, 'c> {
             BaseType::Unsigned => {
                 (u64::try_from(number).ok()).and_then(|number| Value::of_unsigned(number, self.symbols))
             }
+            BaseType::Float if self.symbols.word_size() == WordSize::Bits32 => Some(Value::float(number as f32)),
             BaseType::Float => Some(Value::of_float(number as f64, self.symbols)),
             BaseType::Number | BaseType::Symbol | BaseType::Record => {
                 (i64::try_from(number).ok()).and_then(|number| Value::of_number(number, self.symbols))
@@ -702,7 +706,7 @@ impl<'c> Check<'_, 'c> {
                 _ => i64::try_from(number).is_ok(),
             };
             if fits && !long {
-                fault = fault.help("`check` and `query` take numbers of 64 bits with `--word-size 64`");
+                fault = fault.help("`check`, `query` and `repl` take numbers of 64 bits with `--word-size 64`");
             }
             self.fault(fault);
             Value(0)

@@ -6,7 +6,7 @@ use crate::check::rules::{Atom, Term, VarId};
 use crate::codes;
 use crate::diag::{Diagnostic, Span};
 use crate::record;
-use crate::symbol::Symbol;
+use crate::symbol::{Symbol, WordSize};
 use crate::syntax::ast;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor, Shape};
@@ -474,6 +474,7 @@ impl<'c> Check<'_, 'c> {
 
     /// Returns how to write a constant with another base type; `None` if that is not its value.
     pub(super) fn rewritten(&self, operand: Operand, base: BaseType) -> Option<String> {
+        let is_long = self.symbols.word_size() == WordSize::Bits64;
         match (operand.kind, base) {
             (OperandKind::Whole(number), BaseType::Symbol) => {
                 Some(format!("write `{number}` in quotes: `\"{number}\"`"))
@@ -482,6 +483,8 @@ impl<'c> Check<'_, 'c> {
                 let text = self.symbols.resolve(Symbol(value.0))?;
                 let fits = match base {
                     BaseType::Symbol | BaseType::Record => false,
+                    BaseType::Number if is_long => text.parse::<i64>().is_ok(),
+                    BaseType::Unsigned if is_long => text.parse::<u64>().is_ok(),
                     BaseType::Number => text.parse::<i32>().is_ok(),
                     BaseType::Unsigned => text.parse::<u32>().is_ok(),
                     BaseType::Float => text.parse::<f32>().is_ok_and(f32::is_finite),
@@ -489,7 +492,7 @@ impl<'c> Check<'_, 'c> {
                 fits.then(|| format!("write the number without quotes: `{text}`"))
             }
             (OperandKind::Constant(value, BaseType::Float), BaseType::Number | BaseType::Unsigned) => {
-                let number = value.as_float();
+                let number = value.to_float(self.symbols);
                 let in_range = match base {
                     BaseType::Number => number.abs() < 1e9,
                     _ => (0.0..1e9).contains(&number),

@@ -192,8 +192,8 @@ impl<const W: usize> Commit<'_, W> {
     }
 }
 
-/// Maintenance of a recursive stratum stops if one of so many rows may be lost: each lost row is looked up, checked
-/// and derived again, which costs more than to derive all anew.
+/// A recursive stratum is computed anew if more than one in so many of its rows may be lost: to look up, check and derive
+/// a lost row again costs more than to derive all rows.
 const LOST_PARTS: usize = 8;
 
 impl<const W: usize> State<W> {
@@ -645,7 +645,9 @@ fn makes_symbols(plans: &Plans, stratum: &StratumPlan, size: WordSize) -> bool {
     let makes = |plan: &Plan| {
         plan.steps.iter().any(|step| match step {
             Step::Compute { functor, .. } => long || functor.makes_symbol(),
-            Step::Aggregate { .. } | Step::Correlated { .. } => long,
+            Step::Aggregate { op, .. } | Step::Correlated { op, .. } => {
+                long && matches!(op, AggregateOp::Sum | AggregateOp::Mean)
+            }
             _ => false,
         })
     };
