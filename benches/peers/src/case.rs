@@ -38,7 +38,7 @@ pub enum Case {
     Csda,
     /// Andersen's points-to analysis of 10,000 variables
     Andersen,
-    /// Completion of an EL ontology of 100,000 concepts
+    /// Completion of an EL ontology of 20,000 concepts
     El,
 }
 
@@ -194,12 +194,13 @@ impl Case {
             Case::Cspa => in_functions(&mut facts, (1_000, 60), &mut below),
             Case::Csda => control_flow(&mut facts, (50_000, 500), &mut below),
             Case::Andersen => points_to(&mut facts, 10_000, &mut below),
-            Case::El => ontology(&mut facts, 100_000, &mut below),
+            Case::El => ontology(&mut facts, 20_000, &mut below),
         }
         facts
     }
 
-    /// Retracts a share of the rows of the first binary predicate, at least one, and inserts as many new ones. A new row has the first number of a row and the second of another one.
+    /// Retracts a share of the rows of the first binary predicate, at least one, and inserts as many new ones. A new row
+    /// has the first number of a row and the second of another one.
     pub fn changes(self, facts: &Facts, share: f64) -> Changes {
         let (name, rows) = facts.binary.first().expect("every case has pairs");
         let known: HashSet<Pair> = rows.iter().copied().collect();

@@ -5,7 +5,7 @@
 use crate::case::{Changes, Facts};
 use logicity::builtin::BuiltinFiles;
 use logicity::datalog;
-use logicity::datalog::{BaseType, Delta, Program, Session, Value};
+use logicity::datalog::{BaseType, Delta, Limits, Program, Session, Value};
 use logicity::diag::{Sources, render};
 
 /// The number of rows of each of the predicates.
@@ -56,6 +56,11 @@ pub fn load(text: &str, facts: &Facts) -> Session {
         .unwrap_or_else(|| panic!("{}", render(&loaded.diagnostics, &sources, false)));
     let program = Program::new(rules).expect("the program is small");
     let mut session = program.session();
+    // The measuring program limits the memory of the process.
+    session.set_limits(Limits {
+        bytes: u64::MAX >> 1,
+        ..session.limits()
+    });
     let predicate = |name: &str| program.predicate(name).expect("the program has the predicate");
 
     // In a column of symbols, number n stands for the symbol that is interned as the n-th.
