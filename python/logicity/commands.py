@@ -484,6 +484,8 @@ def _named_policy(text: str, trust: bool) -> tuple[Policy, str, str | None, Obse
     if path.is_dir() and not policy_files(path):
         what = "a folder without a file `best.*`, which `logicity train` writes at the end of a run"
         raise _UsageError(f"`{text}` is {what}\nhelp: name the file of a policy")
+    if path.is_file() and path.suffix in (".yaml", ".yml", ".json", ".jsonl", ".gz", ".txt"):
+        raise _UsageError(f"`{text}` is no policy\nhelp: name a rule file (`.dl`), weights, or the folder of a run")
     from .learn import load_policy
 
     saved = load_policy(path, trust=trust)

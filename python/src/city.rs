@@ -139,7 +139,7 @@ pub fn city_error(py: Python<'_>, faults: Vec<Diagnostic>, sources: &Sources, re
         faults.into_iter().map(|fault| {
             match replaced.filter(|_| fault.code == RULE_MISMATCH) {
         Some(config) => fault.help(format!(
-            "the rules are checked against the configuration `{config}`; name another one with the argument `config`"
+            "the rules are checked against the configuration `{config}`; name another one with the argument `config`, or the option `--modes` of `logicity evaluate`"
         )),
         None => fault,
     }

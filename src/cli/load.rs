@@ -76,8 +76,9 @@ pub fn load_city(
     rules: Option<&Path>,
     limits: &LimitOptions,
 ) -> Result<LoadedCity, Failure> {
+    refuse_other_kind(config, Kind::Configuration)?;
     if let Some(rules) = rules {
-        refuse_other_kind(rules)?;
+        refuse_other_kind(&rule_file(rules, &BuiltinFiles), Kind::Rules)?;
     }
     let mut city = LoadedCity::load(sources, config, rules, &BuiltinFiles)?;
     city.limits = limits.limits(city.limits);
@@ -85,12 +86,11 @@ pub fn load_city(
     Ok(city)
 }
 
-/// Fails if the option `--rules` names a file of another kind. A pipe, which is read once, is left to its reader.
-fn refuse_other_kind(rules: &Path) -> Result<(), Failure> {
-    let path = rule_file(rules, &BuiltinFiles);
+/// Fails if the user names a file of another kind. A pipe, which is read once, is left to its reader.
+fn refuse_other_kind(path: &Path, kind: Kind) -> Result<(), Failure> {
     let is_pipe = path.metadata().is_ok_and(|found| !found.is_file());
-    let text = (!is_pipe).then(|| BuiltinFiles.read_or_builtin(&path).ok()).flatten();
-    match text.and_then(|text| Kind::Rules.mismatch(&path, &text)) {
+    let text = (!is_pipe).then(|| BuiltinFiles.read_or_builtin(path).ok()).flatten();
+    match text.and_then(|text| kind.mismatch(path, &text)) {
         Some(fault) => Err(fault.into()),
         None => Ok(()),
     }

@@ -453,7 +453,7 @@ fn retract_inputs(session: &mut Session) {
 
 /// Help for missing facts.
 const FACTS_HELP: &str =
-    "\nhelp: `-F FOLDER` names the folder of the facts; create an empty file for a predicate without facts";
+    "\nhelp: `-F FOLDER` names the folder of the facts; a predicate without facts needs a file without rows";
 
 /// Returns, by predicate, whether results or constraints depend on its rows. What operators read of earlier ticks counts
 /// as needed. In a program without results, every predicate is needed.
@@ -541,7 +541,10 @@ pub(super) fn load_inputs(
 /// Refuses to read facts if the folder or several of the needed files are missing, and names them all.
 fn check_inputs(program: &Program, folder: &Path, needed: &[bool]) -> Result<(), Failure> {
     if !folder.is_dir() {
-        let fault = "no such folder\nhelp: `-F FOLDER` names the folder of the facts";
+        let fault = match folder.exists() {
+            true => "it is not a folder\nhelp: `-F FOLDER` names the folder of the facts",
+            false => "no such folder\nhelp: `-F FOLDER` names the folder of the facts",
+        };
         return Err(Failure::file("read facts from", folder, fault));
     }
     let paths = predicates(program).filter(|(id, _)| needed[id.index()]);

@@ -370,7 +370,11 @@ impl Workspace {
             }),
             _ => {
                 let fault = Diagnostic::new(codes::INVALID_FACT, "a fact contains only constants");
-                Err(vec![fault.at(place.0, "").help("write the value of the expression")])
+                Err(vec![
+                    fault
+                        .at(place.0, "")
+                        .help("write the value of an expression, and `_` for a record"),
+                ])
             }
         }
     }

@@ -2955,7 +2955,7 @@ fn missing_facts_are_named_at_once() {
             "B.facts`",
             "C.facts`",
             "`-F FOLDER` names the folder",
-            "an empty file",
+            "a file without rows",
         ],
     );
     write(folder.path(), "A.facts", "");

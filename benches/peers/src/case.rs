@@ -38,7 +38,7 @@ pub enum Case {
     Csda,
     /// Andersen's points-to analysis of 10,000 variables
     Andersen,
-    /// Completion of an EL ontology of 20,000 concepts
+    /// Completion of an EL ontology of 100,000 concepts
     El,
 }
 
@@ -194,7 +194,7 @@ impl Case {
             Case::Cspa => in_functions(&mut facts, (1_000, 60), &mut below),
             Case::Csda => control_flow(&mut facts, (50_000, 500), &mut below),
             Case::Andersen => points_to(&mut facts, 10_000, &mut below),
-            Case::El => ontology(&mut facts, 20_000, &mut below),
+            Case::El => ontology(&mut facts, 100_000, &mut below),
         }
         facts
     }

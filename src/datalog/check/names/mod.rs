@@ -661,6 +661,18 @@ fn remember(unknown: &mut indexmap::IndexMap<String, Vec<Span>>, name: &Name) {
     }
 }
 
+/// The options of `.input` and `.output`, for suggestions.
+const FILE_OPTIONS: [&str; 8] = [
+    "IO",
+    "columns",
+    "compress",
+    "delimiter",
+    "filename",
+    "format",
+    "headers",
+    "rfc4180",
+];
+
 /// Reads the options of an `.input`, `.output` or `.printsize` directive.
 fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
     let mut place = RowPlace::Usual;
@@ -680,8 +692,8 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                 (_, value) => {
                     let fault = Diagnostic::new(codes::UNSUPPORTED, format!("`IO={value}` is not supported here"));
                     let known = match mark.kind {
-                        MarkKind::Input => "`file`, `jsonfile` or `stdin`",
-                        MarkKind::Output => "`file`, `jsonfile` or `stdout`",
+                        MarkKind::Input => "`file`, `jsonfile` or `stdin`, or `format=parquet`",
+                        MarkKind::Output => "`file`, `jsonfile` or `stdout`, or `format=parquet`",
                         _ => "`stdoutprintsize`",
                     };
                     faults.push(fault.at(option.place.0, "").help(format!("use {known}")));
@@ -716,7 +728,11 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             }
             key => {
                 let fault = Diagnostic::new(codes::IGNORED, format!("the option `{key}` has no effect"));
-                faults.push(fault.at(option.key.place.0, "").help("remove it"));
+                let fault = fault.at(option.key.place.0, "");
+                faults.push(match did_you_mean(key, FILE_OPTIONS) {
+                    Some(near) => fault.help(format!("did you mean `{near}`?")),
+                    None => fault.help("remove it"),
+                });
             }
         }
     }
