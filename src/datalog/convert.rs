@@ -434,18 +434,32 @@ pub(crate) fn word_of(
     }
 }
 
+/// Returns the words of a row; those of a row that does not consist of words are in `encoded`.
+pub(crate) fn words_of<'r>(
+    predicate: &Predicate,
+    row: &'r impl IntoRow,
+    types: &[Type],
+    encoder: &WordEncoder<'_>,
+    encoded: &'r mut Vec<Value>,
+) -> Result<&'r [Value], RowError> {
+    match row.words() {
+        Some(words) => Ok(words),
+        None => encode(predicate, row, types, encoder, encoded).map(|()| encoded.as_slice()),
+    }
+}
+
 /// Adds the words of a row to `words`.
 pub(crate) fn encode(
     predicate: &Predicate,
     row: &impl IntoRow,
     types: &[Type],
-    interning: &WordEncoder<'_>,
+    encoder: &WordEncoder<'_>,
     words: &mut Vec<Value>,
 ) -> Result<(), RowError> {
     let values = row.values();
     check_arity(predicate, values.len())?;
     for (value, column) in values.into_iter().zip(&predicate.columns) {
-        let word = word_of(value, (column.ty, column.base), types, interning);
+        let word = word_of(value, (column.ty, column.base), types, encoder);
         let word = word.ok_or_else(|| RowError::ValueType {
             predicate: predicate.name.clone(),
             column: column.name.clone(),

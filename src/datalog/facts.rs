@@ -10,7 +10,7 @@ use crate::codes;
 use crate::convert::read;
 use crate::diag::{Diagnostic, Faults, SourceId, Sources, Span, counted};
 use crate::session::Session;
-use crate::symbol::{Symbol, WordEncoder, WordSize};
+use crate::symbol::{Symbol, WordSize};
 use crate::syntax::ast::BaseType;
 use crate::value::{self, Value, number_text, parse_in, print_record};
 use std::borrow::Cow;
@@ -318,15 +318,8 @@ fn unquoted<'t>(text: &'t str, format: &RowFormat) -> Cow<'t, str> {
 /// Parses a record, or returns where the text is none, and why.
 fn parse_record(session: &Session, column: &Column, text: &str, format: &RowFormat) -> Result<Value, (usize, String)> {
     let types = &session.program().rules().types;
-    let symbol = |text: &str| Some(session.symbols().intern(text));
     let unquoted = unquoted(text, format);
-    read(
-        &unquoted,
-        column.ty,
-        types,
-        &WordEncoder::new(&symbol, session.symbols().word_size()),
-    )
-    .map_err(|fault| {
+    read(&unquoted, column.ty, types, &session.symbols().encoder()).map_err(|fault| {
         let at = fault.at + usize::from(unquoted.len() < text.len());
         (at, format!("expected {}", fault.expected.unwrap_or_default()))
     })

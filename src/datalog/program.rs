@@ -11,7 +11,6 @@ use crate::files::{ReadError, ReadFile};
 #[cfg(feature = "optimizer")]
 use crate::plan::optimize;
 use crate::plan::{Compiled, Plans};
-use crate::symbol::WordEncoder;
 use crate::value::Value;
 use crate::workspace;
 
@@ -165,13 +164,7 @@ impl Program {
                 let word = match value(A::from_row(batch.row(call), &columns, symbols)) {
                     None => None,
                     Some(value) => {
-                        let symbol = |text: &str| Some(symbols.intern(text));
-                        let word = word_of(
-                            &value,
-                            (ty, base),
-                            &types,
-                            &WordEncoder::new(&symbol, symbols.word_size()),
-                        );
+                        let word = word_of(&value, (ty, base), &types, &symbols.encoder());
                         let misfit = || {
                             format!(
                                 "{} is no value of type `{}`",

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::cancel::Cancel;
 use crate::check::{ClauseId, Literal, Predicate, PredicateId, Term};
-use crate::convert::{AsPredicate, FromRow, IntoRow, RowError, check_words, encode};
+use crate::convert::{AsPredicate, FromRow, IntoRow, RowError, check_words, encode, words_of};
 use crate::eval::calls::Calls;
 use crate::eval::delta::{Delta, Rows};
 use crate::eval::exec::{self, CommitOptions, Store};
@@ -15,7 +15,7 @@ use crate::eval::stats::{EvalEvent, EvalStats, Strategy};
 use crate::eval::workers::{Threads, Workers};
 use crate::history::History;
 use crate::program::Program;
-use crate::symbol::{Symbols, WordEncoder, WordSize};
+use crate::symbol::{Symbols, WordSize};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::Value;
 
@@ -155,20 +155,8 @@ impl Session {
     fn change(&mut self, predicate: impl AsPredicate, row: &impl IntoRow, holds: bool) -> Result<(), RowError> {
         let (predicate, to) = self.program.base(predicate)?;
         let mut encoded = Vec::new();
-        let words = match row.words() {
-            Some(words) => words,
-            None => {
-                let symbol = |text: &str| Some(self.symbols.intern(text));
-                encode(
-                    predicate,
-                    row,
-                    &self.program.rules().types,
-                    &WordEncoder::new(&symbol, self.symbols.word_size()),
-                    &mut encoded,
-                )?;
-                &encoded
-            }
-        };
+        let types = &self.program.rules().types;
+        let words = words_of(predicate, row, types, &self.symbols.encoder(), &mut encoded)?;
         check_words(predicate, words, &self.symbols)?;
         if !holds && !self.history.given.is_empty() {
             self.history.given.remove(&(to, words.into()));
@@ -210,7 +198,6 @@ impl Session {
         const PART: usize = 1 << 12;
         let (predicate, to) = self.program.base(predicate)?;
         let arity = predicate.arity();
-        let symbol = |text: &str| Some(self.symbols.intern(text));
         let mut encoded = Vec::new();
         let types = &self.program.rules().types;
         let is_long = self.symbols.word_size() == WordSize::Bits64;
@@ -225,15 +212,9 @@ impl Session {
                 Some(words) => check_words(predicate, words, &self.symbols).map(|()| words),
                 None => {
                     encoded.clear();
-                    encode(
-                        predicate,
-                        &row,
-                        types,
-                        &WordEncoder::new(&symbol, self.symbols.word_size()),
-                        &mut encoded,
-                    )
-                    .and_then(|()| check_words(predicate, &encoded, &self.symbols))
-                    .map(|()| encoded.as_slice())
+                    encode(predicate, &row, types, &self.symbols.encoder(), &mut encoded)
+                        .and_then(|()| check_words(predicate, &encoded, &self.symbols))
+                        .map(|()| encoded.as_slice())
                 }
             };
             let row = match row {
@@ -508,12 +489,11 @@ impl Session {
             return words.len() == predicate.arity() && self.store.contains(id, words);
         }
         let mut words = Vec::new();
-        let symbol = |text: &str| self.symbols.get(text);
         let encoded = encode(
             predicate,
             &row,
             &self.program.rules().types,
-            &WordEncoder::new(&symbol, self.symbols.word_size()),
+            &self.symbols.finder(),
             &mut words,
         );
         encoded.is_ok() && self.store.contains(id, &words)

@@ -61,22 +61,26 @@ const STRING_BYTES: u64 = 128;
 /// The number of blocks that hold 2^32 strings.
 const BLOCKS: usize = 27;
 
-/// Returns the string of an interned number.
-fn text_of_bits(bits: u64) -> String {
-    format!("{NUMBER_PREFIX}{bits:016x}")
-}
-
-/// Encodes values as words. The function given to [`WordEncoder::new`] interns strings, or finds known ones only.
+/// Encodes values as words.
 #[derive(Clone, Copy)]
 pub struct WordEncoder<'a> {
-    symbol: &'a dyn Fn(&str) -> Option<Symbol>,
+    strings: Strings<'a>,
     size: WordSize,
 }
 
+/// What maps strings to symbols.
+#[derive(Clone, Copy)]
+enum Strings<'a> {
+    Interned(&'a Symbols),
+    Known(&'a Symbols),
+    By(&'a dyn Fn(&str) -> Option<Symbol>),
+}
+
 impl<'a> WordEncoder<'a> {
-    /// Creates an encoder from the function that maps strings, and the size of numbers.
+    /// Creates an encoder from a function that maps strings, and the size of numbers.
     pub fn new(symbol: &'a dyn Fn(&str) -> Option<Symbol>, size: WordSize) -> Self {
-        WordEncoder { symbol, size }
+        let strings = Strings::By(symbol);
+        WordEncoder { strings, size }
     }
 
     /// Returns the size of numbers.
@@ -86,14 +90,22 @@ impl<'a> WordEncoder<'a> {
 
     /// Returns the symbol of a string.
     pub fn symbol(&self, text: &str) -> Option<Symbol> {
-        (self.symbol)(text)
+        match self.strings {
+            Strings::Interned(symbols) => Some(symbols.intern(text)),
+            Strings::Known(symbols) => symbols.get(text),
+            Strings::By(symbol) => symbol(text),
+        }
     }
 
     /// Returns the word of a number of 64 bits.
     pub(crate) fn bits(&self, bits: u64) -> Option<u32> {
         match u32::try_from(bits) {
             Ok(small) if small < INTERNED => Some(small),
-            _ => self.symbol(&text_of_bits(bits)).map(|Symbol(id)| id | INTERNED),
+            _ => {
+                let Symbol(id) = self.symbol(&format!("{NUMBER_PREFIX}{bits:016x}"))?;
+                assert!(id < INTERNED, "fewer than 2^31 strings");
+                Some(id | INTERNED)
+            }
         }
     }
 }
@@ -141,16 +153,25 @@ impl Symbols {
         }
     }
 
+    /// Returns what encodes values and interns new strings.
+    pub fn encoder(&self) -> WordEncoder<'_> {
+        WordEncoder {
+            strings: Strings::Interned(self),
+            size: self.word_size,
+        }
+    }
+
+    /// Returns what encodes values whose strings are known.
+    pub fn finder(&self) -> WordEncoder<'_> {
+        WordEncoder {
+            strings: Strings::Known(self),
+            size: self.word_size,
+        }
+    }
+
     /// Returns the word of a number of 64 bits.
     pub(crate) fn intern_bits(&self, bits: u64) -> u32 {
-        match u32::try_from(bits) {
-            Ok(small) if small < INTERNED => small,
-            _ => {
-                let Symbol(id) = self.intern(&text_of_bits(bits));
-                assert!(id < INTERNED, "fewer than 2^31 strings");
-                id | INTERNED
-            }
-        }
+        self.encoder().bits(bits).expect("an encoder interns every string")
     }
 
     /// Returns the number of 64 bits with this word; 0 if there is none.

@@ -50,27 +50,17 @@ impl Value {
 
     /// Returns the word for a number in a program with these symbols; `None` if it does not fit.
     pub fn of_number(number: i64, symbols: &Symbols) -> Option<Self> {
-        match symbols.word_size() {
-            WordSize::Bits32 => i32::try_from(number).ok().map(Value::number),
-            WordSize::Bits64 => Some(Value(symbols.intern_bits(number.cast_unsigned()))),
-        }
+        symbols.encoder().whole(BaseType::Number, number.into())
     }
 
     /// Returns the word for an unsigned number in a program with these symbols; `None` if it does not fit.
     pub fn of_unsigned(number: u64, symbols: &Symbols) -> Option<Self> {
-        match symbols.word_size() {
-            WordSize::Bits32 => u32::try_from(number).ok().map(Value),
-            WordSize::Bits64 => Some(Value(symbols.intern_bits(number))),
-        }
+        symbols.encoder().whole(BaseType::Unsigned, number.into())
     }
 
     /// Returns the word for a float in a program with these symbols, rounded to its precision.
-    #[allow(clippy::cast_possible_truncation)]
     pub fn of_float(x: f64, symbols: &Symbols) -> Self {
-        match symbols.word_size() {
-            WordSize::Bits32 => Value::float(x as f32),
-            WordSize::Bits64 => Value(symbols.intern_bits(canonical(x).to_bits())),
-        }
+        symbols.encoder().float(x).expect("an encoder interns every string")
     }
 
     /// Returns the word as a number of a program with these symbols.
@@ -541,8 +531,7 @@ pub fn shown_number(base: BaseType, value: Value, symbols: &Symbols) -> String {
 
 /// Parses a number, unsigned number or float of a program with these symbols; `None` if the text does not fit the type.
 pub fn parse_in(base: BaseType, text: &str, symbols: &Symbols) -> Option<Value> {
-    let symbol = |text: &str| Some(symbols.intern(text));
-    WordEncoder::new(&symbol, symbols.word_size()).parse(base, text)
+    symbols.encoder().parse(base, text)
 }
 
 /// Parses a hexadecimal (`0x`) or binary (`0b`) number of up to 64 bits.

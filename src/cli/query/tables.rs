@@ -5,7 +5,7 @@ use crate::datalog::internal::{record_of_text, shortened, whole_record};
 use crate::datalog::{BaseType, Column, EvalError, PredicateId, Session, Value, facts};
 use crate::diag::Diagnostic;
 use crate::files::{Output, check_flat};
-use crate::symbol::{Symbol, WordEncoder, WordSize};
+use crate::symbol::{Symbol, WordSize};
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, FloatType, Int32Type, Int64Type};
 use parquet::errors::ParquetError;
@@ -111,8 +111,7 @@ fn load_rows(session: &mut Session, id: PredicateId, file: File) -> Result<(), D
 
 /// Returns the word of a value, or a description of the value if it is not one of the column.
 fn word(session: &mut Session, column: &Column, field: &Field) -> Result<Value, String> {
-    let intern = |text: &str| Some(session.symbols().intern(text));
-    let words = WordEncoder::new(&intern, session.symbols().word_size());
+    let words = session.symbols().encoder();
     let float = |number: f64| {
         let near = words.float(number)?;
         let is_near = near.to_float(session.symbols()).is_finite() || !number.is_finite();

@@ -8,7 +8,7 @@ use crate::diag::{Diagnostic, counted};
 use crate::eval::limits::EvalError;
 use crate::facts::ordered;
 use crate::session::Session;
-use crate::symbol::{Symbol, Symbols, WordEncoder};
+use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::BaseType;
 use crate::value::{self, Value, parse_in, shortened};
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
@@ -342,16 +342,9 @@ impl<'de> Visitor<'de> for CellReader<'_> {
     }
 
     fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Value, E> {
-        let symbol = |text: &str| Some(self.symbols.intern(text));
         match self.column.base {
             BaseType::Symbol => Ok(Value(self.symbols.intern(text).0)),
-            BaseType::Record => read(
-                text,
-                self.column.ty,
-                self.types,
-                &WordEncoder::new(&symbol, self.symbols.word_size()),
-            )
-            .map_err(|fault| {
+            BaseType::Record => read(text, self.column.ty, self.types, &self.symbols.encoder()).map_err(|fault| {
                 E::custom(format!(
                     "{self}: expected {} in {:?}",
                     fault.expected.unwrap_or_default(),

@@ -29,7 +29,7 @@ pub use grounding::Inexact;
 use crate::cancel::Cancel;
 use crate::chance;
 use crate::check::{Clause, ClauseId, Literal, PredicateId, Term};
-use crate::convert::{AsPredicate, IntoRow, RowError, check_words, encode};
+use crate::convert::{AsPredicate, IntoRow, RowError, check_words, words_of};
 use crate::diagram::{Diagrams, NODE_BYTES, TooLarge};
 use crate::eval::limits::{EvalError, Limits};
 use crate::marginals::facts::{AskedRows, FactRow, FactTables, asked_rows};
@@ -37,7 +37,7 @@ use crate::marginals::formulas::{Given, Source};
 use crate::marginals::grounding::{Grounding, LIFTED_MAX, liftable};
 use crate::program::Program;
 use crate::session::Session;
-use crate::symbol::{Symbols, WordEncoder};
+use crate::symbol::Symbols;
 use crate::syntax::ast::BaseType;
 use crate::value::{Value, symbol_hash};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -361,23 +361,10 @@ impl Marginals {
 
     fn encoded(&self, predicate: impl AsPredicate, row: &impl IntoRow) -> Result<(PredicateId, FactRow), RowError> {
         let (predicate, to) = self.program.base(predicate)?;
-        let words: FactRow = match row.words() {
-            Some(words) => words.into(),
-            None => {
-                let mut words = Vec::new();
-                let symbol = |text: &str| Some(self.symbols.intern(text));
-                encode(
-                    predicate,
-                    row,
-                    &self.program.rules().types,
-                    &WordEncoder::new(&symbol, self.symbols.word_size()),
-                    &mut words,
-                )?;
-                words.into()
-            }
-        };
-        check_words(predicate, &words, &self.symbols)?;
-        Ok((to, words))
+        let (types, mut encoded) = (&self.program.rules().types, Vec::new());
+        let words = words_of(predicate, row, types, &self.symbols.encoder(), &mut encoded)?;
+        check_words(predicate, words, &self.symbols)?;
+        Ok((to, words.into()))
     }
 
     /// Computes the probabilities for the present facts. A pure function of the facts and the options.
@@ -546,22 +533,8 @@ impl Marginals {
     /// Returns the probability of a row of a queried predicate; `None` if it cannot follow.
     pub fn probability(&self, predicate: impl AsPredicate, row: impl IntoRow) -> Option<Probability> {
         let (id, declared) = predicate.resolve(self.program.rules()).ok()?;
-        let mut words = Vec::new();
-        let words = match row.words() {
-            Some(words) => words,
-            None => {
-                let symbol = |text: &str| self.symbols.get(text);
-                encode(
-                    declared,
-                    &row,
-                    &self.program.rules().types,
-                    &WordEncoder::new(&symbol, self.symbols.word_size()),
-                    &mut words,
-                )
-                .ok()?;
-                &words
-            }
-        };
+        let (types, mut encoded) = (&self.program.rules().types, Vec::new());
+        let words = words_of(declared, &row, types, &self.symbols.finder(), &mut encoded).ok()?;
         let (_, rows) = self.results.iter().find(|(predicate, _)| *predicate == id)?;
         let at = rows.binary_search_by(|(row, _)| (**row).cmp(words)).ok()?;
         Some(rows[at].1)
