@@ -1,4 +1,4 @@
-//! Interned strings.
+//! Interned strings, and the words of numbers of 64 bits, which are interned among them.
 //!
 //! A [`Symbol`] is a small number that represents a string, and [`Symbols`] is the table that maps both ways. Symbols are
 //! numbered in order of first appearance, so they are the same in every run.
