@@ -26,7 +26,7 @@ pub struct Arguments {
     #[arg(long, value_parser = integer(0..=u64::MAX))]
     tick: Option<u64>,
     /// Name of the agent; unnecessary if FACT has values; with --clause, lists only rows that contain it
-    #[arg(long, required_unless_present_any = ["why", "why_not", "clause"])]
+    #[arg(long)]
     agent: Option<String>,
     /// Explain why this fact holds, instead of why the agent acted as it did: the name of any predicate, about the
     /// agent, or a fact such as `IsClose(Car_1, Car_2)`; `_` matches any value. A temporal operator asks about earlier
@@ -73,6 +73,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             Failure::Usage(format!("the trace has no agent `{agent}`\nhelp: {help}"))
         })?),
     };
+    let asks_more = arguments.why.is_some() || arguments.why_not.is_some() || arguments.clause.is_some();
+    if position.is_none() && !asks_more {
+        let help = "or ask about a fact with `--why` or `--why-not`, or about a clause with `--clause`";
+        return Err(Failure::Usage(format!(
+            "name an agent with `--agent`: the trace has {}\nhelp: {help}",
+            listed(&names)
+        )));
+    }
     let rules = arguments.rules.as_deref();
     let limits = trace.limits(rules, &arguments.limits);
     let mut replay = trace.replay(sources, arguments.config.as_deref(), rules, true, limits)?;

@@ -24,7 +24,7 @@ use crate::render::{Animation, Extent, Icons, Overview, Scale, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
-    agent_lints, find_deadlocks, unread_predicates, waits,
+    agent_lints, find_deadlocks, no_decision, unread_predicates, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::{BTreeMap, BTreeSet};
@@ -149,6 +149,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let rules = world.program.rules();
     let mut warnings = agent_lints(rules, agents.into_iter());
     warnings.extend(unread_predicates(rules, &world.scenario.actions.table));
+    warnings.extend(no_decision(rules, &world.scenario.actions.table));
     report(&warnings, sources);
 
     let cancel = signals::cancel();

@@ -354,6 +354,11 @@ impl Workspace {
         if faults.failed() {
             return Err(faults.finish());
         }
+        // In a body, a record is a pattern.
+        let has_functor = atom.terms.iter().any(|term| matches!(term.kind, TermKind::Functor(..)));
+        if has_functor && !atom.terms.iter().any(has_wildcard) {
+            return self.fact_of(atom, symbols);
+        }
         let loaded = self.answer(&body, place, Symbols::of_words(self.policy.word_size));
         let Some(rules) = loaded.rules else {
             return Err(loaded.diagnostics);
@@ -369,12 +374,9 @@ impl Workspace {
                 values: constants(atom, &rules, symbols).collect(),
             }),
             _ => {
-                let fault = Diagnostic::new(codes::INVALID_FACT, "a fact contains only constants");
-                Err(vec![
-                    fault
-                        .at(place.0, "")
-                        .help("write the value of an expression, and `_` for a record"),
-                ])
+                let fault = Diagnostic::new(codes::INVALID_FACT, "`_` beside a record or an expression");
+                let help = "give all values of the fact, or write `_` in place of the record or expression, too";
+                Err(vec![fault.at(place.0, "").help(help)])
             }
         }
     }
@@ -400,8 +402,41 @@ impl Workspace {
         if !file.items.iter().all(is_fact) {
             return Ok(None);
         }
+        self.facts_of(file.items, id, symbols)
+    }
+
+    /// Returns a fact without wildcards. The variables in it have been reported.
+    fn fact_of(&self, atom: &Atom, symbols: &Symbols) -> Result<FactPattern, Vec<Diagnostic>> {
+        let clause = Clause {
+            heads: vec![atom.clone()],
+            probabilities: Vec::new(),
+            body: Vec::new(),
+            doc: String::new(),
+            place: atom.place,
+        };
+        let found = self.facts_of(vec![Item::Clause(clause)], atom.place.0.source, symbols)?;
+        match found.and_then(|mut rows| rows.pop()) {
+            Some((predicate, row)) => Ok(FactPattern {
+                predicate,
+                values: row.into_iter().map(Some).collect(),
+            }),
+            None => {
+                let fault = Diagnostic::new(codes::INVALID_FACT, "an expression in this fact has no value");
+                Err(vec![fault.at(atom.place.0, "")])
+            }
+        }
+    }
+
+    /// Returns the rows of facts in the source `id`.
+    fn facts_of(
+        &self,
+        facts: Vec<Item>,
+        id: SourceId,
+        symbols: &Symbols,
+    ) -> Result<Option<Vec<FactRow>>, Vec<Diagnostic>> {
+        let mut faults = Faults::default();
         let mut items = self.declarations(false);
-        items.extend(file.items);
+        items.extend(facts);
         let (rules, _) = check(
             (Cow::Owned(items), Cow::Owned(FactRuns::default())),
             self.elsewhere(),
@@ -618,6 +653,15 @@ fn constants<'r>(
         rules::Term::Constant(value) => Some(moved(value, column.base, &rules.symbols, symbols)),
         rules::Term::Variable(_) | rules::Term::Wildcard => None,
     })
+}
+
+fn has_wildcard(term: &Term) -> bool {
+    match &term.kind {
+        TermKind::Wildcard => true,
+        TermKind::Functor(_, arguments) => arguments.iter().any(has_wildcard),
+        TermKind::Cast(inner, _) => has_wildcard(inner),
+        _ => false,
+    }
 }
 
 /// Returns the diagnostics whose primary place lies in one source, and those without a place.

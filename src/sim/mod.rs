@@ -21,7 +21,7 @@ pub use observe::{
 pub use scene::{
     Answer, CONFLICT_BUDGET, CityConstraints, CityTheory, EgoAnswer, Examined, Explained, Finding, Inference,
     MarginalAnswer, MarginalEgo, Overlap, SceneFacts, agent_lints, conflict_lints, conflicts, earlier_facts, examine,
-    needed_draws, scene_json, unread_predicates,
+    needed_draws, no_decision, scene_json, unread_predicates,
 };
 pub use tick::asked::{AskedFact, AskedTemporal, FactAccount, TemporalVerdict};
 pub use tick::batch::Batch;

@@ -174,12 +174,31 @@ fn facts_are_translated_between_tables() {
     let symbols = session.symbols();
     // Symbols with the ids that the numbers have in the table of the fact.
     (0..10).for_each(|number| _ = symbols.intern(&number.to_string()));
-    let question = sources.add("question", "p(-5, 0.5, _)");
+    let question = sources.add("question", "p(-5, 0.5, [-6, [7, nil]])");
     let asked = workspace.fact(&sources, question, symbols).expect("a fact");
     let shown = |value: Option<Value>, base| facts::print_value(&session, value.expect("no wildcard"), base);
     let bases = [BaseType::Number, BaseType::Float, BaseType::Record];
     assert_eq!(shown(asked.values[0], bases[0]), "-5");
     assert_eq!(shown(asked.values[1], bases[1]), "0.5");
+    assert_eq!(shown(asked.values[2], bases[2]), "[-6, [7, nil]]");
+    for text in [
+        "p(-5, 0.5, [_, nil])",
+        "p(_, 0.5, [1, nil])",
+        "p(1 + x, 0.5, nil)",
+        "p(1 / 0, 0.5, nil)",
+        "p(2 - 7, _, nil)",
+    ] {
+        let question = sources.add("question", text);
+        assert!(workspace.fact(&sources, question, symbols).is_err(), "{text}");
+    }
+    let question = sources.add("question", "p(2 - 7, 0.5, nil)");
+    assert_eq!(
+        workspace.fact(&sources, question, symbols).expect("a fact").values[0],
+        asked.values[0]
+    );
+    let question = sources.add("question", "p(-5, _, _)");
+    let asked = workspace.fact(&sources, question, symbols).expect("a fact");
+    assert_eq!((asked.values[1], asked.values[2]), (None, None));
     let given = sources.add("given", "p(-7, -0.5, [-8, nil]).");
     let found = workspace
         .facts(&sources, given, symbols)

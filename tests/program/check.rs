@@ -297,6 +297,14 @@ fn runs_report_unread_predicates() {
     let said = err(&output);
     assert!(said.contains("`Old` has no effect in a city"), "{said}");
     assert!(said.contains("`.output Young` has no effect in a city"), "{said}");
+    assert!(!said.contains("no clause derives an action"), "{said}");
+    write(
+        folder.path(),
+        "own.dl",
+        text.replace("Stop(X) :- CollidingClose(X, Y).\n", ""),
+    );
+    let said = err(&run(&[&ran[..], &[out.to_str().unwrap(), "--force"]].concat(), b""));
+    assert!(said.contains("[unused-action]: no clause derives an action"), "{said}");
 }
 
 /// Names of agents are those of all kinds of the configuration, also in comparisons.

@@ -31,6 +31,15 @@ fn trace(folder: &std::path::Path) -> String {
     format!("{to}/trace.jsonl")
 }
 
+/// The message without an agent names them, and the questions that need none.
+#[test]
+fn an_explanation_needs_an_agent_or_a_question() {
+    let folder = tempfile::tempdir().unwrap();
+    let trace = trace(folder.path());
+    let parts = ["`--agent`", "Car_1", "`--clause`", "`--why-not`"];
+    fails(&run(&["explain", &trace], b""), 2, &parts);
+}
+
 #[test]
 fn explain_takes_any_fact() {
     let folder = tempfile::tempdir().unwrap();

@@ -62,7 +62,7 @@ fn numbers_of_64_bits_and_records_outlive_new_clauses() {
     let input = ".type L = [head: number, tail: L]\n.decl p(x: number)\n.decl r(x: L)\n\
                  p(-5). p(5000000000). p(7). r([-6, [6000000000, nil]]).\n\
                  .decl q(x: number)\nq(x * 2) :- p(x).\nretract p(7).\np(-5).\n\
-                 .explain p(-5)\n.why-not p(8)\n?- q(x).\n?- r(x).\n";
+                 .explain p(-5)\n.explain r([-6, [6000000000, nil]])\n.why-not p(8)\n?- q(x).\n?- r(x).\n";
     let (out, err, code) = typed_in(folder.path(), &["--word-size", "64"], input);
     assert_eq!((err.as_str(), code), ("", 0), "{out}");
     for shown in ["        -10\n10000000000\n2 rows", "[-6, [6000000000, nil]]", "p(-5)"] {

@@ -570,6 +570,17 @@ fn decided_actions(rules: &Rules, table: &ActionTable) -> Vec<PredicateId> {
     actions.iter().copied().filter(decided).collect()
 }
 
+/// Warns if no clause derives an action other than the default one.
+pub fn no_decision(rules: &Rules, table: &ActionTable) -> Option<Diagnostic> {
+    if !decided_actions(rules, table).is_empty() {
+        return None;
+    }
+    let names: Vec<String> = table.names().map(|action| format!("`{action}`")).collect();
+    let message = "no clause derives an action, so all agents take the default one and may drive into each other";
+    let fault = Diagnostic::new(codes::UNUSED_ACTION, message);
+    Some(fault.help(format!("the actions are {}", listed(&names))))
+}
+
 /// Warns if no clause for an action depends on a predicate that announces collisions.
 fn no_collision_clause(rules: &Rules, collisions: &[&str], actions: &[PredicateId]) -> Option<Diagnostic> {
     let known = |name: &&str| {
