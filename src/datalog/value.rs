@@ -168,6 +168,10 @@ impl Functor {
             (Call | Counter, _) => return None,
             (Cast, [value]) => return Some(*value),
             (Pack, [shape, fields @ ..]) => return made(&record::encoded(shape.0, fields.iter().map(|field| field.0))),
+            (Find, [shape, fields @ ..]) => {
+                let text = record::encoded(shape.0, fields.iter().map(|field| field.0));
+                return symbols.get(&text).map(|found| Value(found.0));
+            }
             (Unpack, [shape, at, whole]) => return record::field(shape.0, at.0, whole.0, symbols).map(Value),
             (Ordinal, [value]) => return Value::of_unsigned(value.0.into(), symbols),
             (Add, parts) if base == BaseType::Symbol => return made(&parts.iter().map(text).collect::<String>()),

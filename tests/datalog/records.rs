@@ -572,6 +572,38 @@ fn records_have_ordinal_numbers() {
     assert_eq!(facts::print(&session, predicate(&session, "same")), "[1]\n[2]\n");
 }
 
+/// Records with fields that are known are looked up, and those with equal fields are compared as a whole: a join reads
+/// about as many rows as it finds.
+#[test]
+fn joins_by_fields_use_indexes() {
+    let texts = [
+        ".decl q(a: number, b: number)\nq(0, 0).\nq(c, d) :- q(a, b), p([a, b], [c, d]).\n",
+        ".decl s(r: P, s: P)\ns([a, b], r) :- p([a, b], r), p([c, d], [a, b]), c < a, d < 9.\n",
+        ".decl t(r: P)\nt([a, b]) :- p([a, b], [c, d]), p([c, d], [e, f]), e != f.\n",
+        ".type N = [p: P, n: number]\n.decl n(n: N)\nn([r, 7]) :- p(r, _).\n\
+         .decl m(a: number, b: number)\nm(0, 0).\nm(a + 1, (b + 1) % 7) :- m(a, b), n([[a, b], 7]).\n",
+    ];
+    for (text, last) in texts.into_iter().flat_map(|text| [(text, 40), (text, 3_000)]) {
+        let text = format!(
+            ".type P = [a: number, b: number]\n.decl p(r: P, s: P)\n.decl i(a: number)\n\
+             i(0).\ni(a + 1) :- i(a), a < {last}.\np([a, a % 7], [a + 1, (a + 1) % 7]) :- i(a).\n{text}"
+        );
+        let mut session = program(&text).session();
+        session.set_limits(Limits {
+            steps: 100_000,
+            ..Limits::default()
+        });
+        session.commit().unwrap_or_else(|error| panic!("{error}\n{text}"));
+        let predicates = &session.program().rules().predicates;
+        let derived = predicates.iter().rposition(|predicate| !predicate.hidden).expect("one");
+        let derived = PredicateId(u32::try_from(derived).expect("few"));
+        assert!(session.encoded_rows(derived).count() > last / 4, "{text}");
+        if last < 100 {
+            compare(&session, &[], &text);
+        }
+    }
+}
+
 /// A linear congruential generator.
 struct Random(u64);
 
@@ -615,7 +647,8 @@ fn random_program(random: &mut Random) -> String {
         for _ in 0..2 + random.below(4) {
             let (source, more) = (before(random), pairs(random));
             let pattern = random.of(&patterns);
-            text += &match random.below(9) {
+            let other = before(random);
+            text += &match random.below(12) {
                 0 => format!(
                     "p{stratum}(r) :- p{stratum}({}).\n",
                     random.of(&["[x, r]", "[_, [_, r]]", "[2, r]"])
@@ -626,6 +659,10 @@ fn random_program(random: &mut Random) -> String {
                 4 => format!("p{stratum}(r) :- {source}(l), {more}, l = [x, [_, r]].\n"),
                 5 => format!("p{stratum}(r) :- {source}({pattern}), {more}, r != [x, nil].\n"),
                 6 => format!("q{stratum}(c, r) :- {source}(r), c = count : {{ {source}([_, r]) }}.\n"),
+                // The same record twice, and records of fields that other atoms bind.
+                8 => format!("q{stratum}(x, r) :- {source}([x, r]), {other}([x, [x, r]]), n(x).\n"),
+                9 => format!("p{stratum}([x, r]) :- {more}, {source}([x, r]), {other}({pattern}), !{other}([x, r]).\n"),
+                10 => format!("q{stratum}(x, s) :- {more}, p{stratum}([x, [x, r]]), {source}(s), s = [_, r].\n"),
                 7 => format!("q{stratum}(x + 1, s) :- {more}, s = [x, t], r = [_, t].\n"),
                 _ => format!("p{stratum}(s) :- {more}, ({source}([x, s]); s = [x, r]; s = nil, x = 1).\n"),
             };

@@ -13,7 +13,7 @@ pub(crate) mod steps;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::check::{Clause, ClauseId, Literal, Predicate, PredicateId, Rules, Stratum};
+use crate::check::{Clause, ClauseId, Literal, PredicateId, Rules, Stratum};
 use crate::diag::Diagnostic;
 use crate::diag::codes;
 use crate::row::WIDTHS;
@@ -77,7 +77,7 @@ impl Plans {
             return Err(Diagnostic::new(codes::LIMIT_EXCEEDED, message).at(wide.span, "declared here"));
         }
         let groupings = groupings(rules);
-        let mut indexes = Indexes::new(rules.predicates.iter().map(Predicate::arity), &groupings);
+        let mut indexes = Indexes::new(rules, &groupings);
         let arity = (0..rules.predicates.len() as u32).map(|predicate| indexes.arity(PredicateId(predicate)));
         let arity = arity.max().unwrap_or(0);
         let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);

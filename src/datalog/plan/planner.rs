@@ -14,6 +14,7 @@ use crate::plan::steps::{
     ChangePlan, ClausePlans, Grouping, IndexId, Indexes, List, Plan, Slot, Source, Step, Version,
 };
 use crate::syntax::ast::{BaseType, Comparison};
+use crate::syntax::functor::Functor;
 use crate::value::Value;
 use std::sync::Arc;
 
@@ -401,7 +402,13 @@ impl<'a> Planner<'a> {
                 .filter(|&position| planner.is_ready(position));
             ready.min_by_key(|&position| cost(position))
         };
-        while let Some(position) = ready(self) {
+        loop {
+            let Some(position) = ready(self) else {
+                match self.place_record() {
+                    true => continue,
+                    false => break,
+                }
+            };
             self.placed(position);
             match &self.clause.body[position] {
                 Literal::Positive(atom) | Literal::Guard(atom) => {
@@ -484,6 +491,54 @@ impl<'a> Planner<'a> {
                 }
             }
         }
+    }
+
+    /// Replaces the literals that take a record apart by a search for the record, if all its fields are bound. The
+    /// record can then be the key of a scan. Returns whether there is such a record.
+    ///
+    /// ```text
+    /// A(x, y), B(r), x = field 0 of r, y = field 1 of r
+    /// ```
+    fn place_record(&mut self) -> bool {
+        let clause = self.clause;
+        let records = self
+            .left
+            .iter()
+            .filter_map(|&position| Field::of(&clause.body[position]));
+        let unbound = |record: &VarId| !self.bound[record.index()] && is_stored(clause, *record);
+        let mut records = records.map(|field| field.record).filter(unbound);
+        let Some((record, fields)) = records.find_map(|record| Some((record, self.known_fields(record)?))) else {
+            return false;
+        };
+        let shape = fields[0].1.shape;
+        let terms = std::iter::once(Term::Constant(shape)).chain(fields.iter().map(|(_, field)| field.value));
+        let arguments = terms.filter_map(|term| self.slot(&term)).collect();
+        fields.iter().for_each(|(position, _)| self.placed(*position));
+        self.bound[record.index()] = true;
+        self.push(Step::Compute {
+            functor: Functor::Find,
+            base: BaseType::Record,
+            arguments,
+            to: record.index() as Slot,
+            test: false,
+        });
+        true
+    }
+
+    /// Returns the fields of a record in order, with the positions of their literals; `None` unless all are bound.
+    fn known_fields(&self, record: VarId) -> Option<Vec<(usize, Field)>> {
+        let all = self
+            .left
+            .iter()
+            .filter_map(|&position| Some((position, Field::of(&self.clause.body[position])?)));
+        let mut fields: Vec<_> = all.filter(|(_, field)| field.record == record).collect();
+        fields.sort_by_key(|(_, field)| field.at.0);
+        fields.dedup_by_key(|(_, field)| field.at.0);
+        let shape = fields.first()?.1.shape;
+        let is_known =
+            |field: &Field| field.shape == shape && self.is_bound(&field.value) && field.value != Term::Wildcard;
+        let is_whole = self.indexes.fields(shape) == Some(fields.len());
+        (is_whole && fields.iter().all(|(_, field)| is_known(field))).then_some(fields)
     }
 
     fn is_ready(&self, position: usize) -> bool {
@@ -806,6 +861,55 @@ fn enough(steps: &[Step], output: &[Slot]) -> Vec<u16> {
         false => 0,
     });
     parts.collect()
+}
+
+/// A literal that reads a field of a record.
+struct Field {
+    record: VarId,
+    shape: Value,
+    at: Value,
+    value: Term,
+}
+
+impl Field {
+    fn of(literal: &Literal) -> Option<Field> {
+        let Literal::Compute {
+            to,
+            functor: Functor::Unpack,
+            arguments,
+            ..
+        } = literal
+        else {
+            return None;
+        };
+        match arguments[..] {
+            [Term::Constant(shape), Term::Constant(at), Term::Variable(record)] => Some(Field {
+                record,
+                shape,
+                at,
+                value: *to,
+            }),
+            _ => None,
+        }
+    }
+}
+
+/// Whether every value of the variable is in a row, or in a record that is in a row.
+fn is_stored(clause: &Clause, variable: VarId) -> bool {
+    let mut variable = variable;
+    // A record is a field of few others. In a cycle of fields, nothing matches.
+    for _ in 0..=clause.body.len() {
+        let mut atoms = clause.body.iter().filter_map(positive);
+        if atoms.any(|atom| atom.terms.contains(&Term::Variable(variable))) {
+            return true;
+        }
+        let is_field = |field: &Field| field.value == Term::Variable(variable);
+        match clause.body.iter().filter_map(Field::of).find(is_field) {
+            Some(field) => variable = field.record,
+            None => return false,
+        }
+    }
+    false
 }
 
 /// The atom of a literal that may bind variables.

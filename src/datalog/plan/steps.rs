@@ -11,7 +11,9 @@
 //! For maintenance, each clause has one plan for each body atom, negated ones included, that begins with the changed
 //! rows. One more plan begins with head rows and checks whether the clause derives them.
 
-use crate::check::{ClauseId, PredicateId};
+use crate::check::{ClauseId, Literal, Predicate, PredicateId, Rules, Term};
+use crate::record;
+use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
 use crate::syntax::functor::{AggregateOp, Functor};
 use crate::value::Value;
@@ -51,6 +53,8 @@ pub(crate) struct Indexes {
     grouped: Vec<bool>,
     /// The plans of correlated predicates, which other plans contain.
     correlated: BTreeMap<PredicateId, Arc<[Plan]>>,
+    /// By the symbol of a shape of records: its number of fields.
+    shapes: BTreeMap<Value, usize>,
 }
 
 impl std::ops::Index<IndexId> for Indexes {
@@ -62,8 +66,9 @@ impl std::ops::Index<IndexId> for Indexes {
 }
 
 impl Indexes {
-    /// Creates the primary indexes of predicates with these arities and groupings.
-    pub(crate) fn new(arities: impl Iterator<Item = usize>, groupings: &[Option<Grouping>]) -> Self {
+    /// Creates the primary indexes of the predicates of a program with these groupings.
+    pub(crate) fn new(rules: &Rules, groupings: &[Option<Grouping>]) -> Self {
+        let arities = rules.predicates.iter().map(Predicate::arity);
         let own = |((arity, grouping), number): ((usize, &Option<Grouping>), _)| {
             own_rows(
                 PredicateId(number),
@@ -76,7 +81,13 @@ impl Indexes {
             specs,
             grouped: groupings.iter().map(Option::is_some).collect(),
             correlated: BTreeMap::new(),
+            shapes: shapes(rules),
         }
+    }
+
+    /// The number of fields of the records with this shape, which a clause takes apart.
+    pub(crate) fn fields(&self, shape: Value) -> Option<usize> {
+        self.shapes.get(&shape).copied()
     }
 
     /// The plans of a correlated predicate; `None` for any other predicate.
@@ -467,4 +478,25 @@ pub(crate) enum Aim {
     Recompute,
     /// Incremental maintenance.
     Maintain,
+}
+
+/// The shapes of the records that clauses take apart, with their numbers of fields.
+fn shapes(rules: &Rules) -> BTreeMap<Value, usize> {
+    let literals = rules.clauses.iter().flat_map(|clause| &clause.body);
+    let shapes = literals.filter_map(|literal| match literal {
+        Literal::Compute {
+            functor: Functor::Unpack,
+            arguments,
+            ..
+        } => match arguments[0] {
+            Term::Constant(shape) => Some(shape),
+            _ => None,
+        },
+        _ => None,
+    });
+    let fields = |shape: Value| {
+        let text = rules.symbols.resolve(Symbol(shape.0)).unwrap_or_default();
+        (shape, record::parts(text).1.len())
+    };
+    shapes.map(fields).collect()
 }

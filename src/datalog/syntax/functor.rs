@@ -112,6 +112,8 @@ pub enum Functor {
     /// A field of a record: the arguments are its shape, the position of the field, and the record. A record of another
     /// shape has no such field. The base type of the literal is that of the field.
     Unpack,
+    /// As [`Functor::Pack`], but only if there is such a record. The planner makes it.
+    Find,
     /// `@f(x, y)`: a user-defined functor. The first argument is its position in [`Rules::functors`](crate::Rules).
     /// The base type of the literal is that of the result.
     Call,
@@ -132,7 +134,7 @@ pub(crate) enum Shape {
     Fixed(&'static [BaseType], BaseType),
     /// The arguments of [`Functor::Choose`].
     Choice,
-    /// Those of [`Functor::Pack`] and [`Functor::Unpack`], which the shape of the record determines.
+    /// Those of [`Functor::Pack`], [`Functor::Unpack`] and [`Functor::Find`], which the shape of the record determines.
     Record,
     /// Those of [`Functor::Call`], which the declaration determines.
     Declared,
@@ -188,6 +190,7 @@ impl Functor {
         (Choose, "choose"),
         (Pack, "[...]"),
         (Unpack, "[...]"),
+        (Find, "[...]"),
         (Call, "@"),
         (Counter, "autoinc"),
     ];
@@ -259,7 +262,7 @@ impl Functor {
             Substring => (3, 3),
             Range => (2, 3),
             Choose => (chance::FIXED, usize::MAX),
-            Pack | Call => (1, usize::MAX),
+            Pack | Find | Call => (1, usize::MAX),
             Counter => (0, 0),
             Unpack => (3, 3),
             Length | Ordinal | ToNumber | ToSymbol | ToFloat | ToUnsigned | Cast => (1, 1),
@@ -286,7 +289,7 @@ impl Functor {
             ToFloat => Shape::Convert(ANY, Float),
             ToUnsigned => Shape::Convert(ANY, Unsigned),
             Choose => Shape::Choice,
-            Pack | Unpack => Shape::Record,
+            Pack | Unpack | Find => Shape::Record,
             Call => Shape::Declared,
             // The result has the base type of the named type.
             Cast => Shape::Convert(CASTABLE, Number),

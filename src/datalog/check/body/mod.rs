@@ -256,7 +256,7 @@ impl Operand {
     }
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum OperandKind {
     Variable(VarId),
     /// A plain number such as `1`, of any numeric base type.

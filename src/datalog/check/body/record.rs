@@ -21,6 +21,7 @@ use crate::syntax::ast;
 use crate::syntax::ast::{BaseType, Comparison, TermKind};
 use crate::syntax::functor::Functor;
 use crate::value::Value;
+use std::collections::HashMap;
 
 impl<'c> Check<'_, 'c> {
     /// Returns the operand for a record, whose first argument is its branch. Without arguments it is `nil`.
@@ -289,7 +290,7 @@ impl<'c> Check<'_, 'c> {
         if records.is_empty() {
             return pending;
         }
-        let mut pending = pending;
+        let mut pending = self.shared(pending);
         self.bound = vec![false; self.variables.len()];
         // Records that literals bind are taken apart first, then one is made, which may bind others.
         loop {
@@ -306,6 +307,56 @@ impl<'c> Check<'_, 'c> {
         let certain = self.sound;
         self.report_records(&pending, certain);
         pending
+    }
+
+    /// Replaces each record that equals an earlier one of the same type by an equation with it, so that joins compare
+    /// records instead of their fields.
+    ///
+    /// ```text
+    /// A([x, y]), B([x, y])    becomes    A(r), r = [x, y], B(s), s = r
+    /// ```
+    fn shared(&self, pending: Vec<Pending<'c>>) -> Vec<Pending<'c>> {
+        let mut records: Vec<(VarId, Option<&str>, Vec<OperandKind>)> = Vec::new();
+        let mut replaced: HashMap<VarId, VarId> = HashMap::new();
+        let mut all = Vec::with_capacity(pending.len());
+        for mut literal in pending {
+            match &mut literal {
+                Pending::Aggregate { body, .. } => *body = self.shared(std::mem::take(body)),
+                Pending::Record {
+                    to,
+                    branch,
+                    fields,
+                    span,
+                } => {
+                    let (to, span, branch) = (*to, *span, branch.map(|(name, _)| name));
+                    // The records in fields come before those with the fields.
+                    let same = |field: &Operand| match field.kind {
+                        OperandKind::Variable(id) => OperandKind::Variable(*replaced.get(&id).unwrap_or(&id)),
+                        kind => kind,
+                    };
+                    let kinds: Vec<OperandKind> = fields.iter().map(same).collect();
+                    let ty = self.type_of_variable(to);
+                    let equal = records.iter().find(|(other, named, fields)| {
+                        (*named, fields) == (branch, &kinds) && self.type_of_variable(*other) == ty
+                    });
+                    match equal {
+                        Some(&(other, ..)) if matches!(ty, VariableType::Type(_)) => {
+                            replaced.insert(to, other);
+                            literal = Pending::Compare {
+                                op: Comparison::Equal,
+                                left: Operand::variable(to, span),
+                                right: Operand::variable(other, span),
+                                span,
+                            };
+                        }
+                        _ => records.push((to, branch, kinds)),
+                    }
+                }
+                _ => {}
+            }
+            all.push(literal);
+        }
+        all
     }
 
     /// Gives a record of unknown type the shape that its fields imply, since that is all it needs. Returns whether there
