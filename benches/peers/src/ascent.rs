@@ -147,6 +147,62 @@ mod el {
     }
 }
 
+mod borrows {
+    ascent::ascent! {
+        pub struct Program;
+        relation edge(u32, u32);
+        relation live(u32, u32);
+        relation killed(u32, u32);
+        relation invalidated(u32, u32);
+        relation subset(u32, u32, u32);
+        relation contains(u32, u32, u32);
+        relation loan_live(u32, u32);
+        relation fault(u32, u32);
+        subset(a, c, p) <-- subset(a, b, p), subset(b, c, p);
+        subset(a, b, q) <-- subset(a, b, p), edge(p, q), live(a, q), live(b, q);
+        contains(b, l, p) <-- contains(a, l, p), subset(a, b, p);
+        contains(a, l, q) <-- contains(a, l, p), !killed(l, p), edge(p, q), live(a, q);
+        loan_live(l, p) <-- contains(a, l, p), live(a, p);
+        fault(l, p) <-- invalidated(l, p), loan_live(l, p);
+    }
+}
+
+mod crdt {
+    ascent::ascent! {
+        pub struct Program;
+        relation insert(u32, u32, u32, u32);
+        relation remove(u32, u32);
+        relation has_child(u32, u32);
+        relation later_child(u32, u32, u32, u32);
+        relation first_child(u32, u32, u32, u32);
+        relation later_sibling(u32, u32, u32, u32);
+        relation much_later(u32, u32, u32, u32);
+        relation has_next(u32, u32);
+        relation after(u32, u32, u32, u32);
+        relation next(u32, u32, u32, u32);
+        relation shown(u32, u32);
+        relation blank(u32, u32, u32, u32);
+        relation reach(u32, u32, u32, u32);
+        relation visible(u32, u32, u32, u32);
+        has_child(p, q) <-- insert(_, _, p, q);
+        later_sibling(c, n, d, m) <-- insert(c, n, p, q), insert(d, m, p, q), if c > d;
+        later_sibling(c, n, d, m) <-- insert(c, n, p, q), insert(d, m, p, q), if c == d && n > m;
+        later_child(p, q, d, m) <-- insert(d, m, p, q), later_sibling(c, n, d, m);
+        first_child(p, q, c, n) <-- insert(c, n, p, q), !later_child(p, q, c, n);
+        much_later(c, n, e, k) <-- later_sibling(c, n, d, m), later_sibling(d, m, e, k);
+        has_next(c, n) <-- later_sibling(c, n, _, _);
+        after(c, n, d, m) <-- later_sibling(c, n, d, m), !much_later(c, n, d, m);
+        after(c, n, d, m) <-- after(p, q, d, m), insert(c, n, p, q), !has_next(c, n);
+        next(c, n, d, m) <-- first_child(c, n, d, m);
+        next(c, n, d, m) <-- after(c, n, d, m), !has_child(c, n);
+        shown(c, n) <-- insert(c, n, _, _), !remove(c, n);
+        blank(c, n, d, m) <-- next(c, n, d, m), !shown(c, n);
+        reach(c, n, d, m) <-- next(c, n, d, m), shown(c, n);
+        reach(c, n, e, k) <-- reach(c, n, d, m), blank(d, m, e, k);
+        visible(c, n, d, m) <-- reach(c, n, d, m), shown(d, m);
+    }
+}
+
 /// The number of rows of each derived relation.
 pub fn counts(kind: Kind, facts: &Facts) -> Vec<usize> {
     match kind {
@@ -243,6 +299,26 @@ pub fn counts(kind: Kind, facts: &Facts) -> Vec<usize> {
             program.subsumed = facts.unary("Concept").iter().map(|&x| (x, x)).collect();
             program.run();
             vec![program.subsumed.len(), program.related.len()]
+        }
+        Kind::Borrows => {
+            let triples = |name: &str| facts.ternary(name).iter().map(|&[x, y, z]| (x, y, z)).collect();
+            let mut program = borrows::Program::default();
+            program.edge = facts.binary("Edge").to_vec();
+            program.live = facts.binary("Live").to_vec();
+            program.killed = facts.binary("Killed").to_vec();
+            program.invalidated = facts.binary("Invalidated").to_vec();
+            program.subset = triples("Outlives");
+            program.contains = triples("Issued");
+            program.run();
+            vec![program.subset.len(), program.contains.len(), program.fault.len()]
+        }
+        Kind::Crdt => {
+            let mut program = crdt::Program::default();
+            let rows = facts.quaternary("Insert").iter();
+            program.insert = rows.map(|&[c, n, p, q]| (c, n, p, q)).collect();
+            program.remove = facts.binary("Remove").to_vec();
+            program.run();
+            vec![program.next.len(), program.visible.len()]
         }
     }
 }

@@ -40,6 +40,15 @@ pub enum Case {
     Andersen,
     /// Completion of an EL ontology of 100,000 concepts
     El,
+    /// Polonius: the loans of 2,000 functions of 100 points
+    Borrows,
+    /// Order of the characters of a text after 260,000 operations (CRDT)
+    Crdt,
+    /// The same after the operations in the folder that the variable `LOGICITY_CRDT` names: `insert.txt` and
+    /// `remove.txt` of `problems/crdt` in github.com/frankmcsherry/dynamic-datalog
+    CrdtTrace,
+    /// Context-sensitive points-to analysis of 60,000 variables in functions of 600
+    CspaLarge,
 }
 
 /// A program, whose facts differ by case.
@@ -54,6 +63,8 @@ pub enum Kind {
     Cspa,
     Csda,
     El,
+    Borrows,
+    Crdt,
 }
 
 impl fmt::Display for Case {
@@ -74,12 +85,16 @@ pub type Pair = (u32, u32);
 /// The changes of each predicate: pairs, and whether they are inserted or retracted.
 pub type Changes = Vec<(&'static str, Vec<(Pair, bool)>)>;
 
+/// The environment variable with the folder of the published trace.
+pub const CRDT: &str = "LOGICITY_CRDT";
+
 /// The base facts of a case, by the name of the predicate.
 #[derive(Default, PartialEq)]
 pub struct Facts {
     pub unary: Vec<(&'static str, Vec<u32>)>,
     pub binary: Vec<(&'static str, Vec<Pair>)>,
     pub ternary: Vec<(&'static str, Vec<[u32; 3]>)>,
+    pub quaternary: Vec<(&'static str, Vec<[u32; 4]>)>,
 }
 
 impl Facts {
@@ -100,6 +115,12 @@ impl Facts {
         let found = self.ternary.iter().find(|(other, _)| *other == name);
         &found.expect("the case has the predicate").1
     }
+
+    /// The rows of a predicate of four columns.
+    pub fn quaternary(&self, name: &str) -> &[[u32; 4]] {
+        let found = self.quaternary.iter().find(|(other, _)| *other == name);
+        &found.expect("the case has the predicate").1
+    }
 }
 
 impl Case {
@@ -107,7 +128,7 @@ impl Case {
     pub const SMALL: [Case; 5] = [Case::Random, Case::Chain, Case::Generation, Case::Pointsto, Case::City];
 
     /// The cases of the suite, in its order.
-    pub const SUITE: [Case; 11] = [
+    pub const SUITE: [Case; 14] = [
         Case::Closure5000,
         Case::Closure10000,
         Case::Closure20000,
@@ -116,9 +137,12 @@ impl Case {
         Case::Reach,
         Case::Triangles,
         Case::Cspa,
+        Case::CspaLarge,
         Case::Csda,
         Case::Andersen,
         Case::El,
+        Case::Borrows,
+        Case::Crdt,
     ];
 
     /// Its name in a table.
@@ -137,9 +161,13 @@ impl Case {
             Case::Reach => "reachability",
             Case::Triangles => "triangles of a star",
             Case::Cspa => "CSPA",
+            Case::CspaLarge => "CSPA, large functions",
             Case::Csda => "CSDA",
             Case::Andersen => "Andersen",
             Case::El => "EL completion",
+            Case::Borrows => "Polonius",
+            Case::Crdt => "CRDT",
+            Case::CrdtTrace => "CRDT, published trace",
         }
     }
 
@@ -152,9 +180,11 @@ impl Case {
             Case::City => Kind::City,
             Case::Reach => Kind::Reach,
             Case::Triangles => Kind::Triangles,
-            Case::Cspa => Kind::Cspa,
+            Case::Cspa | Case::CspaLarge => Kind::Cspa,
             Case::Csda => Kind::Csda,
             Case::El => Kind::El,
+            Case::Borrows => Kind::Borrows,
+            Case::Crdt | Case::CrdtTrace => Kind::Crdt,
         }
     }
 
@@ -192,9 +222,13 @@ impl Case {
                 facts.binary.push(("Edge", distinct(star)));
             }
             Case::Cspa => in_functions(&mut facts, (1_000, 60), &mut below),
+            Case::CspaLarge => in_functions(&mut facts, (100, 600), &mut below),
             Case::Csda => control_flow(&mut facts, (50_000, 500), &mut below),
             Case::Andersen => points_to(&mut facts, 10_000, &mut below),
             Case::El => ontology(&mut facts, 100_000, &mut below),
+            Case::Borrows => loans(&mut facts, (2_000, 100), &mut below),
+            Case::Crdt => edits(&mut facts, (180_000, 80_000), &mut below),
+            Case::CrdtTrace => recorded_edits(&mut facts),
         }
         facts
     }
@@ -235,6 +269,8 @@ impl Kind {
             Kind::Cspa => include_str!("../programs/cspa.dl"),
             Kind::Csda => include_str!("../programs/csda.dl"),
             Kind::El => include_str!("../programs/el.dl"),
+            Kind::Borrows => include_str!("../programs/borrows.dl"),
+            Kind::Crdt => include_str!("../programs/crdt.dl"),
         }
     }
 
@@ -250,6 +286,8 @@ impl Kind {
             Kind::Cspa => &["ValueFlow", "MemoryAlias", "ValueAlias"],
             Kind::Csda => &["Null"],
             Kind::El => &["Subsumed", "Related"],
+            Kind::Borrows => &["Subset", "Contains", "Fault"],
+            Kind::Crdt => &["Next", "Visible"],
         }
     }
 }
@@ -316,34 +354,139 @@ fn control_flow(facts: &mut Facts, (points, sources): (u32, u32), below: &mut im
     facts.binary.push(("NullEdge", distinct(nulls)));
 }
 
-/// A hierarchy of concepts with roles, conjunctions and restrictions.
+/// A hierarchy of concepts, of which half have a restriction (some r d); one in eight is defined by its first parent and
+/// the restriction, which has a concept of its own. Parents and restrictions name earlier concepts.
 fn ontology(facts: &mut Facts, concepts: u32, below: &mut impl FnMut(u32) -> u32) {
     const ROLES: u32 = 20;
-    facts.unary.push(("Concept", (0..concepts).collect()));
-    let parents = (1..concepts).map(|concept| (concept, below(concept)));
-    let mut sub: Vec<Pair> = parents.collect();
-    sub.extend((0..concepts / 10).map(|_| {
-        let concept = 1 + below(concepts - 1);
-        (concept, below(concept))
-    }));
+    let (mut sub, mut some, mut has, mut and) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut all = concepts;
+    for concept in 1..concepts {
+        let parent = below(concept);
+        sub.push((concept, parent));
+        if below(3) == 0 {
+            sub.push((concept, below(concept)));
+        }
+        if below(2) == 0 {
+            let (role, filler) = (below(ROLES), below(concept));
+            some.push([concept, role, filler]);
+            if below(4) == 0 {
+                has.push([role, filler, all]);
+                and.push([parent, all, concept]);
+                all += 1;
+            }
+        }
+    }
+    facts.unary.push(("Concept", (0..all).collect()));
     facts.binary.push(("Sub", distinct(sub.into_iter())));
     facts
         .binary
         .push(("SubRole", (1..ROLES).map(|role| (role, role / 2)).collect()));
-    let mut triples = |name, count: u32, row: &mut dyn FnMut() -> [u32; 3]| {
-        let rows: BTreeSet<[u32; 3]> = (0..count).map(|_| row()).collect();
-        facts.ternary.push((name, rows.into_iter().collect()));
+    for (name, mut rows) in [("Some", some), ("Has", has), ("And", and)] {
+        rows.sort_unstable();
+        rows.dedup();
+        facts.ternary.push((name, rows));
+    }
+}
+
+/// Functions of points, with branches forward and loops back. Each has origins, which are live in a part of it, loans of
+/// them, and subsets of origins at some points.
+fn loans(facts: &mut Facts, (functions, points): (u32, u32), below: &mut impl FnMut(u32) -> u32) {
+    const ORIGINS: u32 = 20;
+    const LOANS: u32 = 10;
+    let (mut edges, mut live, mut killed, mut invalidated) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut outlives, mut issued) = (Vec::new(), Vec::new());
+    for function in 0..functions {
+        let (point, origin, loan) = (function * points, function * ORIGINS, function * LOANS);
+        for at in 1..points {
+            edges.push((point + at - 1, point + at));
+            match below(10) {
+                0 => edges.push((point + at, point + at + below(points - at))),
+                1 => edges.push((point + at, point + below(at))),
+                _ => {}
+            }
+            if below(3) == 0 {
+                outlives.push([origin + below(ORIGINS), origin + below(ORIGINS), point + at]);
+            }
+        }
+        for at in 0..ORIGINS {
+            let first = below(points);
+            live.extend((first..first + 1 + below(points - first)).map(|end| (origin + at, point + end)));
+        }
+        for at in 0..LOANS {
+            issued.push([origin + below(ORIGINS), loan + at, point + below(points)]);
+            killed.push((loan + at, point + below(points)));
+            invalidated.extend((0..3).map(|_| (loan + at, point + below(points))));
+        }
+    }
+    for (name, pairs) in [
+        ("Edge", edges),
+        ("Live", live),
+        ("Killed", killed),
+        ("Invalidated", invalidated),
+    ] {
+        facts.binary.push((name, distinct(pairs.into_iter())));
+    }
+    for (name, mut rows) in [("Outlives", outlives), ("Issued", issued)] {
+        rows.sort_unstable();
+        rows.dedup();
+        facts.ternary.push((name, rows));
+    }
+}
+
+/// Two authors insert characters at a cursor, which sometimes moves, and remove those before it.
+fn edits(facts: &mut Facts, (inserted, removed): (u32, u32), below: &mut impl FnMut(u32) -> u32) {
+    // Character 0 is the beginning of the text.
+    let mut characters = vec![(0, 0)];
+    let mut parents = vec![0];
+    let (mut gone, mut cursor, mut clock) = (BTreeSet::new(), 0, 0);
+    let mut rows = Vec::new();
+    while rows.len() < inserted as usize || gone.len() < removed as usize {
+        if below(50) == 0 {
+            cursor = below(characters.len() as u32) as usize;
+        }
+        // The removals come in runs.
+        let removes = below(inserted + removed) < removed && !rows.is_empty();
+        for _ in 0..1 + below(8) {
+            clock += 1;
+            if removes && gone.len() < removed as usize {
+                if cursor > 0 {
+                    gone.insert(characters[cursor]);
+                }
+                cursor = parents[cursor];
+            } else if !removes && rows.len() < inserted as usize {
+                let (id, (parent, author)) = ((clock, u32::from(below(30) == 0)), characters[cursor]);
+                rows.push([id.0, id.1, parent, author]);
+                parents.push(cursor);
+                cursor = characters.len();
+                characters.push(id);
+            }
+        }
+    }
+    facts.quaternary.push(("Insert", rows));
+    facts.binary.push(("Remove", gone.into_iter().collect()));
+}
+
+/// The operations in the folder of [`CRDT`].
+fn recorded_edits(facts: &mut Facts) {
+    let folder = std::env::var(CRDT).unwrap_or_else(|_| panic!("set {CRDT} to the folder of the trace"));
+    let numbers = |file: &str| -> Vec<u32> {
+        let text = std::fs::read_to_string(std::path::Path::new(&folder).join(file));
+        let text = text.unwrap_or_else(|error| panic!("{folder}/{file}: {error}"));
+        let number = |word: &str| {
+            word.parse()
+                .unwrap_or_else(|_| panic!("{folder}/{file}: `{word}` is no number"))
+        };
+        text.split_whitespace().map(number).collect()
     };
-    // Restrictions name concepts near the root, which many concepts are below.
-    triples("Some", concepts / 2, &mut || {
-        [below(concepts), below(ROLES), below(concepts)]
-    });
-    triples("Has", concepts / 20, &mut || {
-        [below(ROLES), below(2_000), below(concepts)]
-    });
-    triples("And", concepts / 20, &mut || {
-        [below(2_000), below(2_000), below(concepts)]
-    });
+    let rows = numbers("insert.txt");
+    let rows = rows
+        .chunks_exact(4)
+        .map(|row| [row[0], row[1], row[2], row[3]])
+        .collect();
+    facts.quaternary.push(("Insert", rows));
+    let pairs = numbers("remove.txt");
+    let pairs = pairs.chunks_exact(2).map(|pair| (pair[0], pair[1]));
+    facts.binary.push(("Remove", distinct(pairs)));
 }
 
 /// Agents that see few others, all of them near. Near agents have near numbers.
@@ -420,6 +563,7 @@ mod tests {
             let sizes: Vec<usize> = (facts.unary.iter().map(|(_, rows)| rows.len()))
                 .chain(facts.binary.iter().map(|(_, rows)| rows.len()))
                 .chain(facts.ternary.iter().map(|(_, rows)| rows.len()))
+                .chain(facts.quaternary.iter().map(|(_, rows)| rows.len()))
                 .collect();
             assert!(sizes.iter().all(|&size| size > 0), "{case}: {sizes:?}");
         }

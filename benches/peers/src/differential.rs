@@ -37,7 +37,10 @@ pub struct Dataflow {
 
 /// Whether [`Dataflow::new`] has the program.
 pub fn has(kind: Kind) -> bool {
-    !matches!(kind, Kind::Triangles | Kind::Cspa | Kind::El)
+    !matches!(
+        kind,
+        Kind::Triangles | Kind::Cspa | Kind::El | Kind::Borrows | Kind::Crdt
+    )
 }
 
 impl Dataflow {
@@ -73,7 +76,7 @@ impl Dataflow {
                 Kind::Generation => count_pairs(generation(base.pairs("Parent"))),
                 Kind::Pointsto => count_pairs(points_to(&base)),
                 Kind::Csda => count_pairs(flow(base.pairs("Edge"), base.pairs("NullEdge"))),
-                Kind::Triangles | Kind::Cspa | Kind::El => unreachable!("`has` is false"),
+                Kind::Triangles | Kind::Cspa | Kind::El | Kind::Borrows | Kind::Crdt => unreachable!("`has` is false"),
             }
             base.inputs.into_inner()
         });

@@ -88,5 +88,9 @@ pub fn load(text: &str, facts: &Facts) -> Session {
         let rows = rows.iter().map(|row| row.map(Value));
         session.insert_all(predicate(name), rows).expect("a base predicate");
     }
+    for (name, rows) in &facts.quaternary {
+        let rows = rows.iter().map(|row| row.map(Value));
+        session.insert_all(predicate(name), rows).expect("a base predicate");
+    }
     session
 }

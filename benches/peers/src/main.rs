@@ -108,6 +108,9 @@ impl Arguments {
 
 fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let cases = arguments.cases();
+    if cases.contains(&Case::CrdtTrace) && std::env::var_os(case::CRDT).is_none() {
+        return Err(format!("set {} to the folder of the trace", case::CRDT).into());
+    }
     let limits = measure::Limits {
         seconds: arguments.time,
         memory_kib: arguments.memory << 20,

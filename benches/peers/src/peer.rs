@@ -99,7 +99,7 @@ impl Peer {
             #[cfg(feature = "others")]
             Peer::Differential => crate::differential::has(kind),
             // `for_datatoad` translates no negation.
-            Peer::Datatoad => kind != Kind::City,
+            Peer::Datatoad => !matches!(kind, Kind::City | Kind::Borrows | Kind::Crdt),
             _ => true,
         }
     }
@@ -201,7 +201,8 @@ fn for_datatoad(case: Case, folder: &Path) -> String {
     let facts = case.facts();
     let arities = (facts.unary.iter().map(|(name, _)| (*name, 1)))
         .chain(facts.binary.iter().map(|(name, _)| (*name, 2)))
-        .chain(facts.ternary.iter().map(|(name, _)| (*name, 3)));
+        .chain(facts.ternary.iter().map(|(name, _)| (*name, 3)))
+        .chain(facts.quaternary.iter().map(|(name, _)| (*name, 4)));
     let mut text = String::new();
     for (name, arity) in arities {
         let columns: Vec<String> = (0..arity).map(|at| format!(r"(?P<u32_{at}>\d+)")).collect();
@@ -248,6 +249,12 @@ pub fn write_case(case: Case, folder: &Path) -> std::io::Result<()> {
     for (name, rows) in &facts.ternary {
         let mut text = String::new();
         rows.iter().for_each(|[x, y, z]| _ = writeln!(text, "{x}\t{y}\t{z}"));
+        write(name, text)?;
+    }
+    for (name, rows) in &facts.quaternary {
+        let mut text = String::new();
+        rows.iter()
+            .for_each(|[x, y, z, w]| _ = writeln!(text, "{x}\t{y}\t{z}\t{w}"));
         write(name, text)?;
     }
     Ok(())

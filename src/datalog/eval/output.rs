@@ -346,8 +346,8 @@ impl<const W: usize> Output<W> {
     #[cold]
     fn reorganize(&mut self) -> Result<(), Abort> {
         if self.seen.is_none() {
-            let rows = self.pushed.min(Self::SEEN_ROWS_MAX).min(self.memory_max as u64 / 6);
-            self.seen = SeenBitmap::over(&self.rows, self.largest, rows);
+            let most = Self::SEEN_ROWS_MAX.min(self.memory_max as u64 / 6);
+            self.seen = SeenBitmap::over(&self.rows, self.largest, self.pushed.min(most), most);
             if self.seen.is_some() {
                 self.seen_has_all = !self.has_taken;
                 self.lacks_taken = self.has_taken;

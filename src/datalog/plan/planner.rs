@@ -75,15 +75,28 @@ pub(crate) fn plan_clause(
         for (position, literal) in clause.body.iter().enumerate() {
             let finished =
                 matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
-            if finished && clause.body.len() <= ALTERNATIVE_LITERALS_MAX {
-                let other = Planner::new(clause, indexes, order).plan(First::Literal(position), &version)?;
+            if !finished || clause.body.len() > ALTERNATIVE_LITERALS_MAX {
+                continue;
+            }
+            let shares =
+                |term: Term| term.variable().is_some() && clause.body[delta].terms().any(|other| *other == term);
+            let connected = literal.terms().copied().any(shares);
+            let first = [
+                Some(First::Literal(position)),
+                connected.then_some(First::Literals(delta, position)),
+            ];
+            for first in first.into_iter().flatten() {
+                let known = indexes.len();
+                let other = Planner::new(clause, indexes, order).plan(first, &version)?;
                 // Evaluation must update an index over a growing predicate, so an alternative uses none.
-                let mut sources = other.steps.iter().flat_map(Step::sources);
                 let own = |source: Source| source.version == Version::Complete || indexes.is_own(source.index);
-                let cheap = sources.all(own) && !other.searches_new();
-                drop(sources);
-                if cheap {
+                let sources = |plan: &Plan| plan.steps.iter().flat_map(Step::sources).collect::<Vec<_>>();
+                let cheap = sources(&other).into_iter().all(own)
+                    && (first == First::Literals(delta, position) || !other.searches_new());
+                if cheap && sources(&other) != sources(&plan) {
                     others.push(other);
+                } else {
+                    indexes.truncate(known);
                 }
             }
         }
@@ -200,6 +213,8 @@ enum First {
     Any,
     /// The atom of the literal at this position of the body.
     Literal(usize),
+    /// The atoms of these two literals, unless the first one leaves only a test of the second.
+    Literals(usize, usize),
     /// Like `Literal`, but skips heads that are already known. A negated atom with wildcards is tested as well.
     Change(usize),
     /// Head rows.
@@ -284,8 +299,14 @@ impl<'a> Planner<'a> {
         let head = &clause.head;
         let head_variables: Vec<VarId> = head.terms.iter().filter_map(Term::variable).collect();
         let mut fresh = None;
+        let mut second = match first {
+            First::Literals(_, second) => Some(second),
+            _ => None,
+        };
         let mut next = match first {
-            First::Literal(position) | First::Change(position) => Some(Next::Scan(position)),
+            First::Literal(position) | First::Literals(position, _) | First::Change(position) => {
+                Some(Next::Scan(position))
+            }
             First::Any | First::Head | First::Parameters(_) => None,
         };
         if first == First::Head {
@@ -328,7 +349,10 @@ impl<'a> Planner<'a> {
                     self.place_tests(version);
                 }
             }
-            next = self.next();
+            next = match second.take().filter(|second| self.left.contains(second)) {
+                Some(second) => Some(Next::Scan(second)),
+                None => self.next(),
+            };
             if next.is_none() {
                 break;
             }
