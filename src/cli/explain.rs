@@ -74,12 +74,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         })?),
     };
     let asks_more = arguments.why.is_some() || arguments.why_not.is_some() || arguments.clause.is_some();
-    if position.is_none() && !asks_more {
+    let unnamed = || {
         let help = "or ask about a fact with `--why` or `--why-not`, or about a clause with `--clause`";
-        return Err(Failure::Usage(format!(
-            "name an agent with `--agent`: the trace has {}\nhelp: {help}",
-            listed(&names)
-        )));
+        let known = listed(&names);
+        Failure::Usage(format!(
+            "name an agent with `--agent`: the trace has {known}\nhelp: {help}"
+        ))
+    };
+    if position.is_none() && !asks_more {
+        return Err(unnamed());
     }
     let rules = arguments.rules.as_deref();
     let limits = trace.limits(rules, &arguments.limits);
@@ -107,7 +110,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         };
     }
     let Some(position) = position else {
-        return Err(Failure::Usage("name an agent with --agent".to_owned()));
+        return Err(unnamed());
     };
 
     let since = match why_not {

@@ -149,7 +149,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let rules = world.program.rules();
     let mut warnings = agent_lints(rules, agents.into_iter());
     warnings.extend(unread_predicates(rules, &world.scenario.actions.table));
-    warnings.extend(no_decision(rules, &world.scenario.actions.table));
+    warnings.extend(no_decision(rules, &world.scenario));
     report(&warnings, sources);
 
     let cancel = signals::cancel();

@@ -67,26 +67,28 @@ pub(crate) fn is(text: &str) -> bool {
     text.starts_with(MARK)
 }
 
-/// Returns the field at a position of a record with this shape; `None` for another record and for `nil`.
+/// Returns the field at a position of a record with this shape; `None` for another record, for `nil`, and for a symbol
+/// that no record has, which `as` may make.
 pub(crate) fn field(shape: u32, at: u32, record: u32, symbols: &Symbols) -> Option<u32> {
     let digits = digits(record, symbols)?;
-    match word(digits, 0)? == shape {
-        true => word(digits, at as usize + 1),
-        false => None,
-    }
+    let fields = parts(symbols.resolve(Symbol(shape))?).1.len();
+    let is_whole = digits.len() == (fields + 1) * DIGITS;
+    (is_whole && word(digits, 0)? == shape).then(|| word(digits, at as usize + 1))?
 }
 
 fn digits(record: u32, symbols: &Symbols) -> Option<&[u8]> {
     symbols.resolve(Symbol(record))?.strip_prefix(MARK).map(str::as_bytes)
 }
 
+/// Returns a word; `None` unless its digits are those of [`encoded`].
 fn word(digits: &[u8], at: usize) -> Option<u32> {
     let digits = digits.get(at * DIGITS..(at + 1) * DIGITS)?;
-    Some(
-        digits
-            .iter()
-            .fold(0, |word, digit| word << 6 | u32::from(digit.wrapping_sub(b'0') & 63)),
-    )
+    let mut word = 0_u64;
+    for digit in digits {
+        let digit = digit.checked_sub(b'0').filter(|digit| *digit < 64)?;
+        word = word << 6 | u64::from(digit);
+    }
+    u32::try_from(word).ok()
 }
 
 /// A record that is no `nil`, taken apart.

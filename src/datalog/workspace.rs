@@ -354,9 +354,9 @@ impl Workspace {
         if faults.failed() {
             return Err(faults.finish());
         }
-        // In a body, a record is a pattern.
-        let has_functor = atom.terms.iter().any(|term| matches!(term.kind, TermKind::Functor(..)));
-        if has_functor && !atom.terms.iter().any(has_wildcard) {
+        // A body would match a record by its fields, so check a fact without wildcards as a clause.
+        let computes = |term: &Term| matches!(term.kind, TermKind::Functor(..) | TermKind::Cast(..));
+        if atom.terms.iter().any(computes) && !atom.terms.iter().any(has_wildcard) {
             return self.fact_of(atom, symbols);
         }
         let loaded = self.answer(&body, place, Symbols::of_words(self.policy.word_size));
@@ -374,7 +374,10 @@ impl Workspace {
                 values: constants(atom, &rules, symbols).collect(),
             }),
             _ => {
-                let fault = Diagnostic::new(codes::INVALID_FACT, "`_` beside a record or an expression");
+                let fault = Diagnostic::new(
+                    codes::INVALID_FACT,
+                    "a fact cannot combine `_` with a record or an expression",
+                );
                 let help = "give all values of the fact, or write `_` in place of the record or expression, too";
                 Err(vec![fault.at(place.0, "").help(help)])
             }
@@ -421,7 +424,10 @@ impl Workspace {
                 values: row.into_iter().map(Some).collect(),
             }),
             None => {
-                let fault = Diagnostic::new(codes::INVALID_FACT, "an expression in this fact has no value");
+                let fault = Diagnostic::new(
+                    codes::INVALID_FACT,
+                    "an expression in this fact cannot be evaluated here",
+                );
                 Err(vec![fault.at(atom.place.0, "")])
             }
         }

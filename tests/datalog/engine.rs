@@ -496,7 +496,7 @@ fn a_closure_beyond_the_dense_words_keeps_its_rows() {
     }
 }
 
-/// Rows of which only parts are dense are those of dense rows with other numbers, also after a change.
+/// Clustered node numbers give the same closure as dense ones, also after a retraction.
 #[test]
 fn a_closure_of_distant_clusters_is_that_of_near_ones() {
     const SIZE: i32 = 40;
@@ -922,8 +922,8 @@ fn joins_follow_the_sizes_of_relations_and_not_the_text() {
     }
 }
 
-/// In a round of a recursion, too, the atom with the fewest matching rows comes next, in any order of the text: here
-/// each class has 100 superclasses, and few of them are parts of a definition.
+/// Rounds of a recursion also read the atom with the fewest matching rows next, whatever the order in the clause. Each
+/// class has up to 100 superclasses, and few of them are parts of a definition.
 #[test]
 fn rounds_follow_the_sizes_of_relations() {
     let sub: Vec<Vec<i32>> = (0..3_000).filter(|n| n % 100 != 99).map(|n| vec![n, n + 1]).collect();

@@ -44,8 +44,8 @@ pub enum Case {
     Borrows,
     /// Order of the characters of a text after 260,000 operations (CRDT)
     Crdt,
-    /// The same after the operations in the folder that the variable `LOGICITY_CRDT` names: `insert.txt` and
-    /// `remove.txt` of `problems/crdt` in github.com/frankmcsherry/dynamic-datalog
+    /// CRDT on the published trace: `insert.txt` and `remove.txt` of `problems/crdt` in
+    /// github.com/frankmcsherry/dynamic-datalog, in the folder `$LOGICITY_CRDT`
     CrdtTrace,
     /// Context-sensitive points-to analysis of 60,000 variables in functions of 600
     CspaLarge,
@@ -354,8 +354,8 @@ fn control_flow(facts: &mut Facts, (points, sources): (u32, u32), below: &mut im
     facts.binary.push(("NullEdge", distinct(nulls)));
 }
 
-/// A hierarchy of concepts, of which half have a restriction (some r d); one in eight is defined by its first parent and
-/// the restriction, which has a concept of its own. Parents and restrictions name earlier concepts.
+/// A hierarchy of concepts. Half have a restriction (some r d), and one in eight is defined by its first parent and the
+/// restriction, which has a concept of its own. Parents and restrictions name earlier concepts.
 fn ontology(facts: &mut Facts, concepts: u32, below: &mut impl FnMut(u32) -> u32) {
     const ROLES: u32 = 20;
     let (mut sub, mut some, mut has, mut and) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -388,8 +388,8 @@ fn ontology(facts: &mut Facts, concepts: u32, below: &mut impl FnMut(u32) -> u32
     }
 }
 
-/// Functions of points, with branches forward and loops back. Each has origins, which are live in a part of it, loans of
-/// them, and subsets of origins at some points.
+/// Functions of points, with branches forward and loops back. Each function has origins that are live in one interval of
+/// points, loans with these origins, and subset constraints at some points.
 fn loans(facts: &mut Facts, (functions, points): (u32, u32), below: &mut impl FnMut(u32) -> u32) {
     const ORIGINS: u32 = 20;
     const LOANS: u32 = 10;
@@ -433,7 +433,7 @@ fn loans(facts: &mut Facts, (functions, points): (u32, u32), below: &mut impl Fn
     }
 }
 
-/// Two authors insert characters at a cursor, which sometimes moves, and remove those before it.
+/// Two authors insert characters at a cursor, which sometimes moves, and remove characters backwards from it.
 fn edits(facts: &mut Facts, (inserted, removed): (u32, u32), below: &mut impl FnMut(u32) -> u32) {
     // Character 0 is the beginning of the text.
     let mut characters = vec![(0, 0)];
@@ -474,17 +474,19 @@ fn recorded_edits(facts: &mut Facts) {
         let text = text.unwrap_or_else(|error| panic!("{folder}/{file}: {error}"));
         let number = |word: &str| {
             word.parse()
-                .unwrap_or_else(|_| panic!("{folder}/{file}: `{word}` is no number"))
+                .unwrap_or_else(|_| panic!("{folder}/{file}: `{word}` is not a number"))
         };
         text.split_whitespace().map(number).collect()
     };
     let rows = numbers("insert.txt");
+    assert_eq!(rows.len() % 4, 0, "{folder}/insert.txt: the last row is incomplete");
     let rows = rows
         .chunks_exact(4)
         .map(|row| [row[0], row[1], row[2], row[3]])
         .collect();
     facts.quaternary.push(("Insert", rows));
     let pairs = numbers("remove.txt");
+    assert_eq!(pairs.len() % 2, 0, "{folder}/remove.txt: the last row is incomplete");
     let pairs = pairs.chunks_exact(2).map(|pair| (pair[0], pair[1]));
     facts.binary.push(("Remove", distinct(pairs)));
 }

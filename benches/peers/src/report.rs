@@ -196,7 +196,10 @@ impl Results {
                 }));
             }
         }
-        let order = |row: &Value| Case::SUITE.iter().position(|case| row["case"] == name(*case));
+        let order = |row: &Value| {
+            let found = Case::SUITE.iter().position(|case| row["case"] == name(*case));
+            found.unwrap_or(Case::SUITE.len())
+        };
         list.sort_by_key(order);
         let mut known = earlier["versions"].as_object().cloned().unwrap_or_default();
         let new = versions

@@ -155,7 +155,7 @@ impl<const W: usize> Output<W> {
     /// parts need no more memory than this buffer has left for them and for its own copy of their rows.
     pub(crate) fn fork(&self, count: usize) -> Self {
         let mut fork = Output {
-            seen: self.seen.as_ref().map(SeenBitmap::fork),
+            seen: self.seen.as_ref().map(|seen| seen.fork(count)),
             groups: self.groups.as_ref().map(|groups| Box::new(groups.fork())),
             ..Self::new(self.limit / count)
         };
@@ -346,8 +346,8 @@ impl<const W: usize> Output<W> {
     #[cold]
     fn reorganize(&mut self) -> Result<(), Abort> {
         if self.seen.is_none() {
-            let most = Self::SEEN_ROWS_MAX.min(self.memory_max as u64 / 6);
-            self.seen = SeenBitmap::over(&self.rows, self.largest, self.pushed.min(most), most);
+            let rows_max = Self::SEEN_ROWS_MAX.min(self.memory_max as u64 / 6);
+            self.seen = SeenBitmap::over(&self.rows, self.largest, self.pushed.min(rows_max), rows_max);
             if self.seen.is_some() {
                 self.seen_has_all = !self.has_taken;
                 self.lacks_taken = self.has_taken;

@@ -1,8 +1,8 @@
 //! A bitmap of derived rows: one bit for each possible row.
 //!
 //! Rules often derive the same row many times. Where words are dense, as interned symbols and small numbers are,
-//! testing a bit costs much less than sorting repetitions away. The bits of new rows also form a sorted list. Where only
-//! some parts of the possible rows are dense, as those of functions in a program are, only their bits are stored.
+//! testing a bit costs much less than sorting repetitions away. The bits of new rows also form a sorted list. If rows
+//! form dense clusters, such as one for each function of a program, only the pages of bits with a row are stored.
 // Decision: docs/decisions/evaluation.md#d018
 
 use crate::row::Row;
@@ -15,42 +15,45 @@ pub(crate) struct SeenBitmap<const W: usize> {
     bounds: [u32; W],
     /// Indexed by column: the distance between the bits of consecutive words.
     strides: [u64; W],
-    /// The bits of all rows ever added.
-    known: Bits,
+    /// The bits of all rows ever added; empty if they are stored by pages.
+    known: Vec<u64>,
     /// The bits of rows added since the last [`SeenBitmap::drain`]; empty while new rows are kept elsewhere.
-    fresh: Bits,
+    fresh: Vec<u64>,
+    pages: Option<Box<Paged>>,
+    /// Whether new rows are kept as bits.
+    holds_new: bool,
 }
 
-/// A list of bits in words.
+/// The bits of all rows and of new ones, by pages.
 #[derive(Clone, Debug)]
-enum Bits {
-    All(Vec<u64>),
-    Paged(Pages),
+struct Paged {
+    known: Pages,
+    fresh: Pages,
 }
 
 /// A list of bits of which only the pages with a bit are stored.
 #[derive(Clone, Debug)]
 struct Pages {
-    /// By page: one more than its position in `words`, in pages; 0 if no bit of it is set.
+    /// Indexed by page: its number in `words` plus 1, or 0 if it is not stored.
     places: Vec<u32>,
     words: Vec<u64>,
     /// The maximum number of stored pages.
-    most: usize,
+    pages_max: usize,
 }
 
 impl Pages {
     /// The number of words of a page.
     const PAGE: usize = 64;
 
-    fn new(words: usize, most: usize) -> Self {
+    fn new(words: usize, pages_max: usize) -> Self {
         Pages {
             places: vec![0; words.div_ceil(Self::PAGE)],
             words: Vec::new(),
-            most,
+            pages_max,
         }
     }
 
-    /// Returns a word, of a new page if need be; `None` if that would be a page too many.
+    /// Returns a word, and adds its page if necessary; `None` if no page is left.
     #[inline]
     fn word(&mut self, at: usize) -> Option<&mut u64> {
         let (page, word) = (at / Self::PAGE, at % Self::PAGE);
@@ -63,78 +66,59 @@ impl Pages {
 
     #[cold]
     fn add(&mut self, page: usize) -> Option<u32> {
-        let count = self.words.len() / Self::PAGE;
-        if count >= self.most {
+        let count = self.stored();
+        if count >= self.pages_max {
             return None;
         }
-        self.words.resize(self.words.len() + Self::PAGE, 0);
+        let len = self.words.len() + Self::PAGE;
+        if len > self.words.capacity() {
+            // Doubling would take more memory than `SeenBitmap::over` expects.
+            self.words.try_reserve_exact(Self::PAGE.max(len / 8)).ok()?;
+        }
+        self.words.resize(len, 0);
         self.places[page] = u32::try_from(count + 1).ok()?;
         Some(self.places[page])
     }
+
+    /// The number of stored pages.
+    fn stored(&self) -> usize {
+        self.words.len() / Self::PAGE
+    }
+
+    /// As many bits, none of which is set.
+    fn cleared(&self) -> Self {
+        Pages::new(self.places.len() * Self::PAGE, self.pages_max)
+    }
+
+    fn bytes(&self) -> usize {
+        size_of_val(&self.words[..]) + size_of_val(&self.places[..])
+    }
+
+    /// Returns the stored words with their positions, in order. All others are 0.
+    fn words(&self) -> impl Iterator<Item = (usize, u64)> {
+        let places = self.places.iter().enumerate().filter(|(_, place)| **place > 0);
+        places.flat_map(|(page, &place)| {
+            let words = self.words[(place as usize - 1) * Self::PAGE..].iter().take(Self::PAGE);
+            words.enumerate().map(move |(at, word)| (page * Self::PAGE + at, *word))
+        })
+    }
 }
 
-impl Bits {
-    const NONE: Bits = Bits::All(Vec::new());
-
-    /// The same number of bits, none of which is set.
-    fn cleared(&self) -> Bits {
-        match self {
-            Bits::All(words) => Bits::All(vec![0; words.len()]),
-            Bits::Paged(pages) => Bits::Paged(Pages {
-                places: vec![0; pages.places.len()],
-                words: Vec::new(),
-                most: pages.most,
-            }),
-        }
-    }
-
-    fn is_empty(&self) -> bool {
-        match self {
-            Bits::All(words) => words.is_empty(),
-            Bits::Paged(pages) => pages.places.is_empty(),
-        }
-    }
-
-    /// The number of stored words, and the bytes of all.
-    fn stored(&self) -> (usize, usize) {
-        match self {
-            Bits::All(words) => (words.len(), size_of_val(&words[..])),
-            Bits::Paged(Pages { places, words, .. }) => {
-                (words.len(), size_of_val(&words[..]) + size_of_val(&places[..]))
-            }
-        }
-    }
-
-    /// Sets the bits of a mask in a word. Returns those that were not set; `None` if the word cannot be stored.
+impl Paged {
+    /// Adds the bits of a mask with one bit in a word; to the new ones, too, if they are `held`. Returns 1 if it was
+    /// not set, and otherwise 0; `None` if it cannot be stored.
     #[inline]
-    fn set(&mut self, at: usize, mask: u64) -> Option<u64> {
-        let word = match self {
-            Bits::All(words) => &mut words[at],
-            Bits::Paged(pages) => pages.word(at)?,
-        };
-        let added = mask & !*word;
-        *word |= mask;
-        Some(added)
-    }
-
-    /// The words with their positions, in order, but for some that are 0.
-    fn words(&self) -> impl Iterator<Item = (usize, u64)> {
-        let (all, pages) = match self {
-            Bits::All(words) => (&words[..], None),
-            Bits::Paged(pages) => (&[][..], Some(pages)),
-        };
-        let stored = pages.into_iter().flat_map(|pages| {
-            let places = pages.places.iter().enumerate().filter(|(_, place)| **place > 0);
-            places.flat_map(|(page, &place)| {
-                let words = pages.words[(place as usize - 1) * Pages::PAGE..]
-                    .iter()
-                    .take(Pages::PAGE);
-                words
-                    .enumerate()
-                    .map(move |(at, word)| (page * Pages::PAGE + at, *word))
-            })
-        });
-        all.iter().copied().enumerate().chain(stored)
+    fn add(&mut self, (word, mask): (usize, u64), held: bool) -> Option<usize> {
+        let known = self.known.word(word)?;
+        if *known & mask != 0 {
+            return Some(0);
+        }
+        *known |= mask;
+        // Cannot fail: each page of new rows is also one of known rows, and both lists have the same limit.
+        if held && let Some(fresh) = self.fresh.word(word) {
+            *fresh |= mask;
+        }
+        Some(1)
     }
 }
 
@@ -145,7 +129,7 @@ pub(crate) enum Added {
     Known,
     /// The row is new.
     New,
-    /// A word exceeds its bound.
+    /// A word exceeds its bound, or no page is left for the row.
     Beyond,
 }
 
@@ -157,16 +141,16 @@ impl<const W: usize> SeenBitmap<W> {
     /// add many rows at once.
     const ALIGNED_MIN: u32 = 512;
 
-    /// Bits are stored by pages if a page has at least this number of rows on average. If all bits fit into memory, they
-    /// must also take this size in bytes, and the pages must be a small part of all.
+    /// Bits are stored by pages if all would take at least this number of bytes,
+    const PAGED_MIN: u64 = 1 << 26;
+    /// a page begins with at least this number of rows on average,
     const PAGE_ROWS: usize = 16;
-    const PAGED_MIN: u64 = 1 << 24;
+    /// and, if all may fit later, at most one page in this number is stored at first. Sets of words need all bits.
     const PAGE_PARTS: usize = 16;
 
-    /// Makes a set of these rows. Its bounds leave room above the words of `rows` and `largest`. Returns `None` if it
-    /// would take more memory than `count` rows and either the rows are scattered or their pages could take more than
-    /// `most` rows.
-    pub(crate) fn over(rows: &[Row<W>], mut largest: [u32; W], count: u64, most: u64) -> Option<Self> {
+    /// Makes a set of these rows. Its bounds leave room above the words of `rows` and `largest`. Returns `None` if
+    /// neither all bits nor pages fit. All bits may take the memory of `count` rows, pages that of `rows_max` rows.
+    pub(crate) fn over(rows: &[Row<W>], mut largest: [u32; W], count: u64, rows_max: u64) -> Option<Self> {
         raise(&mut largest, rows);
         let mut bounds = [1; W];
         let mut strides = [0; W];
@@ -187,29 +171,34 @@ impl<const W: usize> SeenBitmap<W> {
         let mut seen = SeenBitmap {
             bounds,
             strides,
-            known: Bits::NONE,
-            fresh: Bits::NONE,
+            known: Vec::new(),
+            fresh: Vec::new(),
+            pages: None,
+            holds_new: false,
         };
         let fits = bits / 8 <= bytes(count).max(Self::BYTES_FREE);
-        if !fits || bits / 8 >= Self::PAGED_MIN {
-            // Known and new rows have a list of places each, and their pages.
+        if bits / 8 >= Self::PAGED_MIN {
+            // Both lists, of known and of new rows, have places and pages.
             let page = (Pages::PAGE * size_of::<u64>()) as u64;
             let pages = words.div_ceil(Pages::PAGE);
             let places = 2 * (pages * size_of::<u32>()) as u64;
-            let left = bytes(most).saturating_sub(places);
-            let first = rows.len() / Self::PAGE_ROWS;
-            let few = if fits {
-                first.min(pages / Self::PAGE_PARTS)
-            } else {
-                first
+            // A list that grows is copied.
+            let pages_max = usize::try_from(bytes(rows_max).saturating_sub(places) / (3 * page)).ok()?;
+            let dense_pages = (rows.len() / Self::PAGE_ROWS).min(pages_max);
+            let first_pages = match bits / 8 <= bytes(rows_max) {
+                true => dense_pages.min(pages / Self::PAGE_PARTS),
+                false => dense_pages,
             };
-            let most = usize::try_from(left / (2 * page)).ok()?;
             if places <= bytes(count) {
-                seen.known = Bits::Paged(Pages::new(words, most.min(few)));
-                if rows.iter().all(|row| seen.add(row) != Added::Beyond) {
-                    if let Bits::Paged(pages) = &mut seen.known {
-                        pages.most = most;
-                    }
+                let known = Pages::new(words, first_pages);
+                let fresh = Pages::new(words, pages_max);
+                let mut paged = Box::new(Paged { known, fresh });
+                let added = rows.iter().map(|row| paged.add(seen.bit(row)?, false));
+                // The rows may repeat.
+                let distinct = added.sum::<Option<usize>>();
+                if distinct.is_some_and(|distinct| distinct >= paged.known.stored() * Self::PAGE_ROWS) {
+                    paged.known.pages_max = pages_max;
+                    seen.pages = Some(paged);
                     return Some(seen);
                 }
             }
@@ -217,17 +206,24 @@ impl<const W: usize> SeenBitmap<W> {
         if !fits {
             return None;
         }
-        seen.known = Bits::All(vec![0; words]);
+        seen.known = vec![0; words];
         rows.iter().for_each(|row| _ = seen.add(row));
         Some(seen)
     }
 
     /// Makes a set with the same bounds and known rows that keeps new rows as bits. Bits are also faster where most
-    /// rows are known.
-    pub(crate) fn fork(&self) -> Self {
+    /// rows are known. `count` forks may store as many more pages as this set.
+    pub(crate) fn fork(&self, count: usize) -> Self {
         SeenBitmap {
             known: self.known.clone(),
-            fresh: self.known.cleared(),
+            fresh: vec![0; self.known.len()],
+            pages: self.pages.clone().map(|mut paged| {
+                let stored = paged.known.stored();
+                paged.known.pages_max = stored + (paged.known.pages_max - stored) / count;
+                paged.fresh = paged.known.cleared();
+                paged
+            }),
+            holds_new: true,
             ..*self
         }
     }
@@ -239,27 +235,24 @@ impl<const W: usize> SeenBitmap<W> {
 
     /// The bytes of the bits of all rows.
     pub(crate) fn bytes(&self) -> usize {
-        self.known.stored().1
+        let paged = |paged: &Paged| paged.known.bytes() + paged.fresh.bytes();
+        self.pages.as_deref().map_or(size_of_val(&self.known[..]), paged)
     }
 
     /// Whether both sets have the same bounds and can be joined.
     pub(crate) fn is_like(&self, other: &Self) -> bool {
-        let all = |seen: &Self| matches!(seen.known, Bits::All(_));
-        self.bounds == other.bounds && all(self) && all(other)
+        self.bounds == other.bounds && self.pages.is_none() && other.pages.is_none()
     }
 
-    /// Adds the new rows of a set with the same bounds; both sets must keep new rows as bits. Returns the number of
-    /// rows that are new here.
+    /// Adds the new rows of a set that is [like](SeenBitmap::is_like) this one; both must keep new rows as bits. Returns
+    /// the number of rows that are new here.
     pub(crate) fn absorb(&mut self, other: &Self) -> usize {
         let mut new = 0;
-        if let (Bits::All(known), Bits::All(fresh), Bits::All(other)) = (&mut self.known, &mut self.fresh, &other.fresh)
-        {
-            for ((known, fresh), other) in known.iter_mut().zip(fresh).zip(other) {
-                let added = other & !*known;
-                *known |= added;
-                *fresh |= added;
-                new += added.count_ones() as usize;
-            }
+        for ((known, fresh), other) in self.known.iter_mut().zip(&mut self.fresh).zip(&other.fresh) {
+            let added = other & !*known;
+            *known |= added;
+            *fresh |= added;
+            new += added.count_ones() as usize;
         }
         new
     }
@@ -282,35 +275,44 @@ impl<const W: usize> SeenBitmap<W> {
         let Some((word, mask)) = self.bit(row) else {
             return Added::Beyond;
         };
-        let held = !self.fresh.is_empty();
-        match &mut self.known {
-            Bits::All(known) => {
-                if known[word] & mask != 0 {
-                    return Added::Known;
-                }
-                known[word] |= mask;
-            }
-            Bits::Paged(pages) => match pages.word(word) {
-                None => return Added::Beyond,
-                Some(known) if *known & mask != 0 => return Added::Known,
-                Some(known) => *known |= mask,
-            },
+        let Some(known) = self.known.get_mut(word) else {
+            return self.add_to_page((word, mask));
+        };
+        if *known & mask != 0 {
+            return Added::Known;
         }
-        // Both lists may have as many pages, and new rows are known.
-        if held {
-            self.fresh.set(word, mask);
+        *known |= mask;
+        if let Some(fresh) = self.fresh.get_mut(word) {
+            *fresh |= mask;
         }
         Added::New
     }
 
-    /// Adds a row without marking it as new. Returns whether it fits.
-    pub(crate) fn mark(&mut self, row: &Row<W>) -> bool {
-        let bit = self.bit(row);
-        bit.is_some_and(|(word, mask)| self.known.set(word, mask).is_some())
+    #[cold]
+    #[inline(never)]
+    fn add_to_page(&mut self, bit: (usize, u64)) -> Added {
+        let held = self.holds_new;
+        match self.pages.as_mut().and_then(|paged| paged.add(bit, held)) {
+            Some(0) => Added::Known,
+            Some(_) => Added::New,
+            None => Added::Beyond,
+        }
     }
 
-    /// Adds copies of `row` in which one word is replaced; the set must keep new rows as bits. Stops at the first word
-    /// beyond its bound. Returns the number of rows added and how many of them are new.
+    /// Adds a row without marking it as new. Returns whether it fits.
+    pub(crate) fn mark(&mut self, row: &Row<W>) -> bool {
+        let Some((word, mask)) = self.bit(row) else {
+            return false;
+        };
+        match self.known.get_mut(word) {
+            Some(known) => *known |= mask,
+            None => return (self.pages.as_mut()).is_some_and(|paged| paged.add((word, mask), false).is_some()),
+        }
+        true
+    }
+
+    /// Adds copies of `row` in which one word is replaced; the set must keep new rows as bits. Stops at the first row
+    /// that does not fit. Returns the number of rows added and how many of them are new.
     #[inline(always)]
     pub(crate) fn hold_along(
         &mut self,
@@ -325,35 +327,30 @@ impl<const W: usize> SeenBitmap<W> {
         let base = base as u64 * 64 + u64::from(mask.trailing_zeros());
         let (bound, stride) = (self.bounds[column], self.strides[column]);
         let (mut added, mut new) = (0, 0);
-        let places = words.take_while(|value| value.0 < bound).map(|value| {
+        if let Some(paged) = &mut self.pages {
+            for value in words {
+                let at = base + u64::from(value.0) * stride;
+                let fits = value.0 < bound;
+                let bit = fits.then(|| paged.add(((at / 64) as usize, 1 << (at % 64)), true));
+                let Some(is_new) = bit.flatten() else { break };
+                new += is_new;
+                added += 1;
+            }
+            return (added, new);
+        }
+        let (known, fresh) = (&mut self.known[..], &mut self.fresh[..]);
+        for value in words {
+            if value.0 >= bound {
+                break;
+            }
             let at = base + u64::from(value.0) * stride;
-            ((at / 64) as usize, 1 << (at % 64))
-        });
-        match (&mut self.known, &mut self.fresh) {
-            (Bits::All(known), Bits::All(fresh)) => {
-                let (known, fresh) = (&mut known[..], &mut fresh[..]);
-                for (word, mask) in places {
-                    if known[word] & mask == 0 {
-                        known[word] |= mask;
-                        fresh[word] |= mask;
-                        new += 1;
-                    }
-                    added += 1;
-                }
+            let (word, mask) = ((at / 64) as usize, 1 << (at % 64));
+            if known[word] & mask == 0 {
+                known[word] |= mask;
+                fresh[word] |= mask;
+                new += 1;
             }
-            (Bits::Paged(known), fresh) => {
-                for (word, mask) in places {
-                    let Some(known) = known.word(word) else { break };
-                    if *known & mask == 0 {
-                        *known |= mask;
-                        fresh.set(word, mask);
-                        new += 1;
-                    }
-                    added += 1;
-                }
-            }
-            // New rows are stored in the same way.
-            (Bits::All(_), Bits::Paged(_)) => {}
+            added += 1;
         }
         (added, new)
     }
@@ -362,8 +359,7 @@ impl<const W: usize> SeenBitmap<W> {
     /// do not fill whole words of bits.
     pub(crate) fn set_words(&self, column: usize) -> Option<usize> {
         let (bound, stride) = (self.bounds[column], self.strides[column]);
-        let all = matches!(self.known, Bits::All(_));
-        (all && stride == 1 && bound % u64::BITS == 0).then_some((bound / u64::BITS) as usize)
+        (self.pages.is_none() && stride == 1 && bound % u64::BITS == 0).then_some((bound / u64::BITS) as usize)
     }
 
     /// Adds copies of `row` in which the word of `column` is replaced by each element of a set of bits, which has
@@ -378,11 +374,8 @@ impl<const W: usize> SeenBitmap<W> {
     ) -> Option<usize> {
         row.0[column] = Value(0);
         let (base, _) = self.bit(&row)?;
-        let (Bits::All(known), Bits::All(fresh)) = (&mut self.known, &mut self.fresh) else {
-            return None;
-        };
-        let known = &mut known[base..base + set.len()];
-        let mut fresh = fresh.get_mut(base..base + set.len());
+        let known = &mut self.known[base..base + set.len()];
+        let mut fresh = self.fresh.get_mut(base..base + set.len());
         let mut count = 0;
         for (at, (known, set)) in known.iter_mut().zip(set).enumerate() {
             let mut added = set & !*known;
@@ -407,40 +400,58 @@ impl<const W: usize> SeenBitmap<W> {
 
     /// Whether `rows` new rows are better kept as bits than in a list to be sorted.
     pub(crate) fn prefers_bits(&self, rows: usize) -> bool {
-        rows / 4 > self.known.stored().0 / 64
+        let stored = self.pages.as_deref().map_or(&self.known, |paged| &paged.known.words);
+        rows / 4 > stored.len() / 64
     }
 
     /// Whether new rows are kept as bits.
     pub(crate) fn holds_new(&self) -> bool {
-        !self.fresh.is_empty()
+        self.holds_new
     }
 
     /// Starts to keep new rows as bits. `rows` have been added before and count as new.
     pub(crate) fn hold_new(&mut self, rows: &[Row<W>]) {
-        self.fresh = self.known.cleared();
+        self.fresh = vec![0; self.known.len()];
+        self.holds_new = true;
         for row in rows {
-            if let Some((word, mask)) = self.bit(row) {
-                self.fresh.set(word, mask);
+            let Some((word, mask)) = self.bit(row) else { continue };
+            let fresh = match &mut self.pages {
+                Some(paged) => paged.fresh.word(word),
+                None => self.fresh.get_mut(word),
+            };
+            if let Some(fresh) = fresh {
+                *fresh |= mask;
             }
         }
     }
 
     /// Takes the `count` new rows, in order, and stops keeping new rows as bits.
     pub(crate) fn drain(&mut self, count: usize) -> Vec<Row<W>> {
-        let fresh = std::mem::replace(&mut self.fresh, Bits::NONE);
-        self.listed(&fresh, count)
+        self.holds_new = false;
+        let fresh = std::mem::take(&mut self.fresh);
+        match &mut self.pages {
+            Some(paged) => {
+                let cleared = paged.fresh.cleared();
+                let fresh = std::mem::replace(&mut paged.fresh, cleared);
+                self.listed(fresh.words(), count)
+            }
+            None => self.listed(fresh.into_iter().enumerate(), count),
+        }
     }
 
     /// Returns all rows ever added, in order.
     pub(crate) fn all(&self) -> Vec<Row<W>> {
-        let count: u32 = self.known.words().map(|(_, word)| word.count_ones()).sum();
-        self.listed(&self.known, count as usize)
+        let count = |words: &[u64]| words.iter().map(|word| word.count_ones() as usize).sum();
+        match &self.pages {
+            Some(paged) => self.listed(paged.known.words(), count(&paged.known.words)),
+            None => self.listed(self.known.iter().copied().enumerate(), count(&self.known)),
+        }
     }
 
-    /// Returns the `count` rows of a list of bits, in order.
-    fn listed(&self, bits: &Bits, count: usize) -> Vec<Row<W>> {
+    /// Returns the `count` rows of the words of a list of bits, in order.
+    fn listed(&self, words: impl Iterator<Item = (usize, u64)>, count: usize) -> Vec<Row<W>> {
         let mut rows = Vec::with_capacity(count);
-        for (position, word) in bits.words() {
+        for (position, word) in words {
             let mut word = word;
             while word != 0 {
                 let mut rest = position as u64 * 64 + u64::from(word.trailing_zeros());
@@ -481,14 +492,17 @@ mod tests {
         };
         let first: Vec<Row<W>> = (0..20).map(|_| row()).collect();
         let all = SeenBitmap::over(&first, [0; W], 1_000_000, 0).expect("it fits");
-        assert!(matches!(all.known, Bits::All(_)));
-        // With pages, too.
-        let Bits::All(bits) = &all.known else { panic!("bits") };
+        assert!(all.pages.is_none());
+        // The same rows in pages.
+        let pages = || Pages::new(all.known.len(), usize::MAX);
         let mut paged = SeenBitmap {
-            bounds: all.bounds,
-            strides: all.strides,
-            known: Bits::Paged(Pages::new(bits.len(), usize::MAX)),
-            fresh: Bits::NONE,
+            known: Vec::new(),
+            fresh: Vec::new(),
+            pages: Some(Box::new(Paged {
+                known: pages(),
+                fresh: pages(),
+            })),
+            ..all
         };
         assert!(first.iter().all(|row| paged.mark(row)));
         check_set(all, &first, words, &mut row);
@@ -542,7 +556,7 @@ mod tests {
         assert!(all.eq(expected));
     }
 
-    /// Rows of clusters are stored by pages, up to a number of them.
+    /// Clustered rows are stored by pages, up to a limit.
     #[test]
     fn clusters_have_pages() {
         let cluster = |number: u32| {
@@ -551,21 +565,19 @@ mod tests {
         let rows: Vec<Row<2>> = (0..60).step_by(2).flat_map(cluster).collect();
         let over = |most| SeenBitmap::over(&rows, [0; 2], 2_000_000, most);
         let mut seen = over(2_000_000).expect("few pages");
-        assert!(seen.bytes() < 8_000_000);
+        assert!(seen.bytes() < 16_000_000);
         seen.hold_new(&[]);
         assert!(rows.iter().all(|row| seen.add(row) == Added::Known));
         let mut new: Vec<Row<2>> = cluster(1).collect();
         assert!(new.iter().all(|row| seen.add(row) == Added::New));
         new.sort_unstable();
         assert_eq!(seen.drain(new.len()), new);
-        let (known, forked) = (seen.all().len(), seen.fork());
+        let (known, forked) = (seen.all().len(), seen.fork(1));
         assert_eq!((known, forked.all().len()), (31 * 2_500, 31 * 2_500));
-        // Pages for the rows, and not for those of other clusters.
-        let Bits::Paged(Pages { places, words, .. }) = &seen.known else {
-            panic!("pages")
-        };
-        let most = 2 * (size_of_val(&words[..]) + size_of_val(&places[..])) / size_of::<Row<2>>();
-        let mut seen = over(most as u64).expect("enough pages");
+        // The limit admits these clusters and no others.
+        let known = &seen.pages.as_deref().expect("pages").known;
+        let rows_max = (3 * size_of_val(&known.words[..]) + 2 * size_of_val(&known.places[..])) / size_of::<Row<2>>();
+        let mut seen = over(rows_max as u64).expect("enough pages");
         let places: Vec<Added> = (1..60).step_by(2).flat_map(cluster).map(|row| seen.add(&row)).collect();
         assert!(places.contains(&Added::Beyond) && !places.contains(&Added::Known));
         let row = Row([Value(1_000), Value(0)]);

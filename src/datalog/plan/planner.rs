@@ -88,7 +88,7 @@ pub(crate) fn plan_clause(
             for first in first.into_iter().flatten() {
                 let known = indexes.len();
                 let other = Planner::new(clause, indexes, order).plan(first, &version)?;
-                // Evaluation must update an index over a growing predicate, so an alternative uses none.
+                // Evaluation must update an index over a growing predicate, so an alternative uses no secondary one.
                 let own = |source: Source| source.version == Version::Complete || indexes.is_own(source.index);
                 let sources = |plan: &Plan| plan.steps.iter().flat_map(Step::sources).collect::<Vec<_>>();
                 let cheap = sources(&other).into_iter().all(own)
@@ -213,7 +213,7 @@ enum First {
     Any,
     /// The atom of the literal at this position of the body.
     Literal(usize),
-    /// The atoms of these two literals, unless the first one leaves only a test of the second.
+    /// The atoms of these two literals, in this order. The second becomes a test if the first binds all its variables.
     Literals(usize, usize),
     /// Like `Literal`, but skips heads that are already known. A negated atom with wildcards is tested as well.
     Change(usize),
@@ -920,17 +920,31 @@ impl Field {
 
 /// Whether every value of the variable is in a row, or in a record that is in a row.
 fn is_stored(clause: &Clause, variable: VarId) -> bool {
-    let mut variable = variable;
-    // A record is a field of few others. In a cycle of fields, nothing matches.
-    for _ in 0..=clause.body.len() {
-        let mut atoms = clause.body.iter().filter_map(positive);
-        if atoms.any(|atom| atom.terms.contains(&Term::Variable(variable))) {
-            return true;
-        }
-        let is_field = |field: &Field| field.value == Term::Variable(variable);
-        match clause.body.iter().filter_map(Field::of).find(is_field) {
-            Some(field) => variable = field.record,
-            None => return false,
+    let mut waiting = vec![variable];
+    let mut next = 0;
+    while let Some(&variable) = waiting.get(next) {
+        next += 1;
+        let same = Term::Variable(variable);
+        for literal in &clause.body {
+            let other = match literal {
+                Literal::Positive(atom) | Literal::Guard(atom) if atom.terms.contains(&same) => return true,
+                Literal::Compare {
+                    op: Comparison::Equal,
+                    left,
+                    right,
+                    ..
+                } if *left == same => right.variable(),
+                Literal::Compare {
+                    op: Comparison::Equal,
+                    left,
+                    right,
+                    ..
+                } if *right == same => left.variable(),
+                _ => Field::of(literal)
+                    .filter(|field| field.value == same)
+                    .map(|field| field.record),
+            };
+            waiting.extend(other.filter(|other| !waiting.contains(other)));
         }
     }
     false

@@ -53,7 +53,7 @@ pub(crate) struct Indexes {
     grouped: Vec<bool>,
     /// The plans of correlated predicates, which other plans contain.
     correlated: BTreeMap<PredicateId, Arc<[Plan]>>,
-    /// By the symbol of a shape of records: its number of fields.
+    /// Maps the symbol of a record shape to its number of fields.
     shapes: BTreeMap<Value, usize>,
 }
 
@@ -85,7 +85,7 @@ impl Indexes {
         }
     }
 
-    /// The number of fields of the records with this shape, which a clause takes apart.
+    /// Returns the number of fields of a shape; `None` if no clause takes such records apart.
     pub(crate) fn fields(&self, shape: Value) -> Option<usize> {
         self.shapes.get(&shape).copied()
     }
@@ -419,8 +419,8 @@ pub(crate) struct ClausePlans {
     /// One plan for each atom over the clause's recursive stratum, with the predicate whose new rows the plan begins
     /// with.
     pub(crate) deltas: Vec<(PredicateId, Plan)>,
-    /// Indexed by position in `deltas`: equivalent plans that begin with a finished predicate and reach the newest rows
-    /// later. They are faster when there are many new rows. Each round chooses a plan by the sizes of predicates.
+    /// Indexed by position in `deltas`: equivalent plans that read a finished predicate first, or directly after the
+    /// newest rows. Each round chooses a plan by the sizes of predicates.
     pub(crate) alternatives: Vec<Vec<Plan>>,
     /// One plan for each atom of the body: what the clause derives from added or removed rows of that atom. Empty if
     /// the clause cannot be maintained.

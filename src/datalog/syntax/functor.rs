@@ -112,7 +112,7 @@ pub enum Functor {
     /// A field of a record: the arguments are its shape, the position of the field, and the record. A record of another
     /// shape has no such field. The base type of the literal is that of the field.
     Unpack,
-    /// As [`Functor::Pack`], but only if there is such a record. The planner makes it.
+    /// Like [`Functor::Pack`], but has no value unless the record exists. Only the planner uses it.
     Find,
     /// `@f(x, y)`: a user-defined functor. The first argument is its position in [`Rules::functors`](crate::Rules).
     /// The base type of the literal is that of the result.

@@ -570,13 +570,17 @@ fn decided_actions(rules: &Rules, table: &ActionTable) -> Vec<PredicateId> {
     actions.iter().copied().filter(decided).collect()
 }
 
-/// Warns if no clause derives an action other than the default one.
-pub fn no_decision(rules: &Rules, table: &ActionTable) -> Option<Diagnostic> {
-    if !decided_actions(rules, table).is_empty() {
+/// Warns if no clause derives an action other than the default one, in a city without a task: a controlled car acts
+/// without rules.
+pub fn no_decision(rules: &Rules, scenario: &Scenario) -> Option<Diagnostic> {
+    let table = &scenario.actions.table;
+    let default = rules.predicate(table.name(scenario.actions.default));
+    let decided = decided_actions(rules, table);
+    if scenario.task.is_some() || decided.into_iter().any(|action| Some(action) != default) {
         return None;
     }
     let names: Vec<String> = table.names().map(|action| format!("`{action}`")).collect();
-    let message = "no clause derives an action, so all agents take the default one and may drive into each other";
+    let message = "no clause derives an action: all agents take the default one and may collide";
     let fault = Diagnostic::new(codes::UNUSED_ACTION, message);
     Some(fault.help(format!("the actions are {}", listed(&names))))
 }

@@ -309,8 +309,8 @@ impl<'c> Check<'_, 'c> {
         pending
     }
 
-    /// Replaces each record that equals an earlier one of the same type by an equation with it, so that joins compare
-    /// records instead of their fields.
+    /// Equates each record with an earlier one of the same type and fields, so that joins compare records instead of
+    /// fields.
     ///
     /// ```text
     /// A([x, y]), B([x, y])    becomes    A(r), r = [x, y], B(s), s = r
@@ -340,7 +340,7 @@ impl<'c> Check<'_, 'c> {
                         (*named, fields) == (branch, &kinds) && self.type_of_variable(*other) == ty
                     });
                     match equal {
-                        Some(&(other, ..)) if matches!(ty, VariableType::Type(_)) => {
+                        Some(&(other, ..)) if self.has_fields(ty, branch, fields.len()) => {
                             replaced.insert(to, other);
                             literal = Pending::Compare {
                                 op: Comparison::Equal,
@@ -357,6 +357,14 @@ impl<'c> Check<'_, 'c> {
             all.push(literal);
         }
         all
+    }
+
+    /// Returns whether the records of a type with this branch have this number of fields.
+    fn has_fields(&self, ty: VariableType, branch: Option<&str>, count: usize) -> bool {
+        match ty {
+            VariableType::Type(ty) => shape(self.names, ty, branch).is_some_and(|shape| shape.fields.len() == count),
+            _ => false,
+        }
     }
 
     /// Gives a record of unknown type the shape that its fields imply, since that is all it needs. Returns whether there

@@ -692,8 +692,8 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                 (_, value) => {
                     let fault = Diagnostic::new(codes::UNSUPPORTED, format!("`IO={value}` is not supported here"));
                     let known = match mark.kind {
-                        MarkKind::Input => "`file`, `jsonfile` or `stdin`, or `format=parquet`",
-                        MarkKind::Output => "`file`, `jsonfile` or `stdout`, or `format=parquet`",
+                        MarkKind::Input => "`file`, `jsonfile`, `stdin` or `format=parquet`",
+                        MarkKind::Output => "`file`, `jsonfile`, `stdout` or `format=parquet`",
                         _ => "`stdoutprintsize`",
                     };
                     faults.push(fault.at(option.place.0, "").help(format!("use {known}")));
