@@ -364,7 +364,7 @@ impl<const W: usize> SeenBitmap<W> {
 
     /// Adds copies of `row` in which the word of `column` is replaced by each element of a set of bits, which has
     /// [`set_words`](SeenBitmap::set_words) words. Returns the number of new rows, or `None` if another word exceeds
-    /// its bound. Unless new rows are kept as bits, `new` receives their words in this column.
+    /// its bound or bits are stored by pages. Unless new rows are kept as bits, `new` receives their words in this column.
     pub(crate) fn add_set(
         &mut self,
         mut row: Row<W>,
@@ -374,7 +374,8 @@ impl<const W: usize> SeenBitmap<W> {
     ) -> Option<usize> {
         row.0[column] = Value(0);
         let (base, _) = self.bit(&row)?;
-        let known = &mut self.known[base..base + set.len()];
+        // There is no such word if bits are stored by pages.
+        let known = self.known.get_mut(base..base + set.len())?;
         let mut fresh = self.fresh.get_mut(base..base + set.len());
         let mut count = 0;
         for (at, (known, set)) in known.iter_mut().zip(set).enumerate() {
@@ -582,6 +583,10 @@ mod tests {
         assert!(places.contains(&Added::Beyond) && !places.contains(&Added::Known));
         let row = Row([Value(1_000), Value(0)]);
         seen.hold_new(&[]);
+        assert_eq!(
+            (seen.set_words(1), seen.add_set(row, 1, &[1], &mut Vec::new())),
+            (None, None)
+        );
         let (added, new) = seen.hold_along(row, 1, (0..75_000).map(Value));
         assert!(added < 75_000 && new <= added);
         assert!(over(1_000).is_none());
