@@ -17,15 +17,16 @@ use crate::symbol::{Symbol, Symbols, WordSize};
 
 use crate::check::clause;
 use crate::check::witness::{renamed, renamed_term};
-use crate::check::{self as rules, Comparing, PredicateId, Rules};
+use crate::check::{self as rules, Comparing, PredicateId, Rules, TypeId, VarId};
 use crate::check::{Elsewhere, InputPolicy, Policy, check, inline, names, temporal};
 use crate::component::Instances;
 use crate::eqrel;
 use crate::record;
 use crate::syntax::Preprocessing;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
-use crate::syntax::ast::{BaseType, TypeDefinition};
+use crate::syntax::ast::{BaseType, Comparison, TypeDefinition};
 use crate::syntax::ast::{names_in, names_of};
+use crate::syntax::functor::Functor;
 use crate::syntax::include;
 use crate::syntax::include::Gathered;
 use crate::syntax::lexer;
@@ -373,6 +374,11 @@ impl Workspace {
                 predicate: atom.predicate,
                 values: constants(atom, &rules, symbols).collect(),
             }),
+            _ if !atom.terms.iter().any(has_wildcard) => {
+                let message = format!("`{}` is inline, so it has no rows", atom.predicate.text);
+                let fault = Diagnostic::new(codes::INVALID_FACT, message).at(atom.predicate.place.0, "");
+                Err(vec![fault.help("ask about a predicate that uses it")])
+            }
             _ => {
                 let fault = Diagnostic::new(
                     codes::INVALID_FACT,
@@ -568,7 +574,7 @@ impl Workspace {
     }
 
     /// Returns the names of types of the variables in the body of a clause whose head has no columns: of a record that of
-    /// a column where it occurs, and otherwise the base type.
+    /// a column or field where it occurs, and otherwise the base type.
     fn types(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<String> {
         let items = self.asked(Vec::new(), clause.clone());
         let mut known = names::declare(&items, true, self.policy, faults);
@@ -579,23 +585,35 @@ impl Workspace {
             faults,
         );
         known.report_unknown(&self.gathered.offered, faults);
+        let checked_symbols = checked.symbols.clone();
         let type_of = |name: &&str| {
             checked.clauses.iter().find_map(|checked| {
                 let position = checked.clause.variables.iter().position(|known| known == name)?;
                 let base = checked.bases[position]?;
-                let column = |atom: &rules::Atom| {
-                    let at = |term: &rules::Term| term.variable().is_some_and(|id| id.index() == position);
-                    let column = atom.terms.iter().position(at)?;
-                    Some(known.type_name(known.predicate(atom.predicate).columns[column].ty))
-                };
-                let atoms = checked.clause.body.iter().filter_map(rules::Literal::atom);
-                let record = atoms.filter_map(column).next().filter(|_| base == BaseType::Record);
-                Some(record.unwrap_or(base.name()).to_owned())
+                Some(match base {
+                    BaseType::Record => {
+                        let id = VarId(u32::try_from(position).ok()?);
+                        let ty = record_type(&checked.clause, id, (&known, &checked_symbols), &mut Vec::new());
+                        ty.map(|ty| known.type_name(ty).to_owned())
+                    }
+                    base => Some(base.name().to_owned()),
+                })
             })
         };
-        (variables.iter())
-            .map(|name| type_of(name).unwrap_or_else(|| BaseType::Symbol.name().to_owned()))
-            .collect()
+        let mut types = Vec::with_capacity(variables.len());
+        for name in variables {
+            types.push(match type_of(name) {
+                Some(Some(text)) => text,
+                Some(None) => {
+                    let message = format!("nothing determines the type of the record `{name}`");
+                    let fault = Diagnostic::new(codes::UNKNOWN_TYPE, message).at(clause.place.0, "");
+                    faults.push(fault.help(format!("use it in a predicate, or name its type: `as({name}, T)`")));
+                    BaseType::Symbol.name().to_owned()
+                }
+                None => BaseType::Symbol.name().to_owned(),
+            });
+        }
+        types
     }
 
     /// Returns the program of a query: all predicates as input, and the answer clause.
@@ -658,6 +676,56 @@ fn constants<'r>(
     atom.terms.iter().zip(columns).map(|(term, column)| match *term {
         rules::Term::Constant(value) => Some(moved(value, column.base, &rules.symbols, symbols)),
         rules::Term::Variable(_) | rules::Term::Wildcard => None,
+    })
+}
+
+/// Returns the type of a variable that holds records: that of a column, or of a field of a record with a type. `seen` holds
+/// the variables that have been asked for.
+fn record_type(
+    clause: &rules::Clause,
+    id: VarId,
+    (names, symbols): (&names::Names, &Symbols),
+    seen: &mut Vec<VarId>,
+) -> Option<TypeId> {
+    if seen.contains(&id) {
+        return None;
+    }
+    seen.push(id);
+    let own = rules::Term::Variable(id);
+    clause.body.iter().find_map(|literal| match literal {
+        rules::Literal::Compare {
+            op: Comparison::Equal,
+            left,
+            right,
+            ..
+        } if *left == own || *right == own => {
+            let other = if *left == own { right } else { left };
+            record_type(clause, other.variable()?, (names, symbols), seen)
+        }
+        rules::Literal::Compute {
+            to,
+            functor: Functor::Unpack,
+            arguments,
+            ..
+        } if *to == own => match arguments[..] {
+            [
+                rules::Term::Constant(shape),
+                rules::Term::Constant(at),
+                rules::Term::Variable(record),
+            ] => {
+                let ty = record_type(clause, record, (names, symbols), seen)?;
+                let (branch, _) = record::parts(symbols.resolve(Symbol(shape.0))?);
+                let mut shapes = names.shapes(ty).iter();
+                let shape = shapes.find(|shape| shape.branch.as_deref() == branch)?;
+                Some(shape.fields.get(at.0 as usize)?.1)
+            }
+            _ => None,
+        },
+        literal => {
+            let atom = literal.atom()?;
+            let column = atom.terms.iter().position(|term| *term == own)?;
+            Some(names.predicate(atom.predicate).columns[column].ty)
+        }
     })
 }
 

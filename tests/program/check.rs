@@ -307,6 +307,25 @@ fn runs_report_unread_predicates() {
     assert!(said.contains("[unused-action]: no clause derives an action"), "{said}");
 }
 
+/// Only `true` and `false` are values of the options that are on or off.
+#[test]
+fn other_values_than_true_are_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ".decl a, b(x: symbol)\n.input a(headers=yes, rfc4180=false)\n.output b(compress=1)\nb(x) :- a(x).\n";
+    let rules = write(folder.path(), "a.dl", text);
+    let said = run(&["check", &rules], b"");
+    assert_eq!(code(&said), 0);
+    for (option, line) in [("headers=yes", 2), ("compress=1", 3)] {
+        let message = format!("warning[ignored]: `{option}` means `false`");
+        assert!(
+            err(&said).contains(&message) && err(&said).contains(&format!("a.dl:{line}:")),
+            "{}",
+            err(&said)
+        );
+    }
+    assert_eq!(err(&said).matches("warning[ignored]").count(), 2, "{}", err(&said));
+}
+
 /// Names of agents are those of all kinds of the configuration, also in comparisons.
 #[test]
 fn names_of_agents_of_own_kinds_are_known() {

@@ -70,6 +70,27 @@ fn numbers_of_64_bits_and_records_outlive_new_clauses() {
     }
 }
 
+/// The variables of a question may be fields of records that are records themselves.
+#[test]
+fn questions_take_records_apart() {
+    let declared = ".type L = [head: number, tail: L]\n.type E = Num {n: number} | Add {l: E, r: E}\n\
+                    .decl p(x: L)\n.decl e(x: E)\np([1, [2, nil]]). e($Add($Num(1), $Num(2))).\n";
+    let out = good(&format!(
+        "{declared}?- p([x, t]).\n?- p(l), l = [_, [_, t]].\n?- e($Add(a, _)).\n?- p([_, t]), t = [y, u].\n"
+    ));
+    for shown in [
+        "1  [2, nil]\n1 row",
+        "[1, [2, nil]]  nil\n1 row",
+        "$Num(1)\n1 row",
+        "[2, nil]  2  nil\n1 row",
+    ] {
+        assert!(out.contains(shown), "`{shown}` is missing in:\n{out}");
+    }
+    let (_, err, code) = typed(&format!("{declared}?- l = [1, nil].\n"));
+    assert!(err.contains("nothing determines the type of the record `l`"), "{err}");
+    assert_eq!(code, 1);
+}
+
 /// Errors in a later input do not repeat the warnings of earlier texts.
 #[test]
 fn warnings_are_printed_once() {

@@ -244,8 +244,8 @@ impl<const W: usize> SeenBitmap<W> {
         self.bounds == other.bounds && self.pages.is_none() && other.pages.is_none()
     }
 
-    /// Adds the new rows of a set that is [like](SeenBitmap::is_like) this one; both must keep new rows as bits. Returns
-    /// the number of rows that are new here.
+    /// Adds the new rows of a set that is [like](SeenBitmap::is_like) this one; both must keep new rows as bits.
+    /// Returns the number of rows that are new here.
     pub(crate) fn absorb(&mut self, other: &Self) -> usize {
         let mut new = 0;
         for ((known, fresh), other) in self.known.iter_mut().zip(&mut self.fresh).zip(&other.fresh) {
@@ -364,7 +364,8 @@ impl<const W: usize> SeenBitmap<W> {
 
     /// Adds copies of `row` in which the word of `column` is replaced by each element of a set of bits, which has
     /// [`set_words`](SeenBitmap::set_words) words. Returns the number of new rows, or `None` if another word exceeds
-    /// its bound or bits are stored by pages. Unless new rows are kept as bits, `new` receives their words in this column.
+    /// its bound or bits are stored by pages. Unless new rows are kept as bits, `new` receives their words in this
+    /// column.
     pub(crate) fn add_set(
         &mut self,
         mut row: Row<W>,

@@ -684,6 +684,13 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
     let mut encoded = None;
     for option in &mark.options {
         let flag = option.value == "true";
+        if ["compress", "headers", "rfc4180"].contains(&option.key.text.as_str())
+            && !["true", "false"].contains(&option.value.as_str())
+        {
+            let message = format!("`{}={}` means `false`", option.key.text, option.value);
+            let fault = Diagnostic::new(codes::IGNORED, message).at(option.place.0, "");
+            faults.push(fault.help("write `true` or `false`"));
+        }
         match option.key.text.as_str() {
             "IO" => match (mark.kind, option.value.as_str()) {
                 (MarkKind::Input | MarkKind::Output, "file") | (MarkKind::PrintSize, "stdoutprintsize") => {}
