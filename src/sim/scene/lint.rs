@@ -570,13 +570,12 @@ fn decided_actions(rules: &Rules, table: &ActionTable) -> Vec<PredicateId> {
     actions.iter().copied().filter(decided).collect()
 }
 
-/// Warns if no clause derives an action other than the default one, in a city without a task: a controlled car acts
-/// without rules.
+/// Warns if no clause derives an action other than the default one. In a run, the car of a task follows the rules, too.
 pub fn no_decision(rules: &Rules, scenario: &Scenario) -> Option<Diagnostic> {
     let table = &scenario.actions.table;
     let default = rules.predicate(table.name(scenario.actions.default));
     let decided = decided_actions(rules, table);
-    if scenario.task.is_some() || decided.into_iter().any(|action| Some(action) != default) {
+    if decided.into_iter().any(|action| Some(action) != default) {
         return None;
     }
     let names: Vec<String> = table.names().map(|action| format!("`{action}`")).collect();
