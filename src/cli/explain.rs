@@ -73,17 +73,6 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             Failure::Usage(format!("the trace has no agent `{agent}`\nhelp: {help}"))
         })?),
     };
-    let asks_more = arguments.why.is_some() || arguments.why_not.is_some() || arguments.clause.is_some();
-    let unnamed = || {
-        let help = "or ask about a fact with `--why` or `--why-not`, or about a clause with `--clause`";
-        let known = listed(&names);
-        Failure::Usage(format!(
-            "name an agent with `--agent`: the trace has {known}\nhelp: {help}"
-        ))
-    };
-    if position.is_none() && !asks_more {
-        return Err(unnamed());
-    }
     let rules = arguments.rules.as_deref();
     let limits = trace.limits(rules, &arguments.limits);
     let mut replay = trace.replay(sources, arguments.config.as_deref(), rules, true, limits)?;
@@ -110,7 +99,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         };
     }
     let Some(position) = position else {
-        return Err(unnamed());
+        let help = "or ask about a fact with `--why` or `--why-not`, or about a clause with `--clause`";
+        let known = listed(&names);
+        return Err(Failure::Usage(format!(
+            "name an agent with `--agent`: the trace has {known}\nhelp: {help}"
+        )));
     };
 
     let since = match why_not {

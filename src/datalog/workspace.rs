@@ -26,7 +26,6 @@ use crate::syntax::Preprocessing;
 use crate::syntax::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
 use crate::syntax::ast::{BaseType, Comparison, TypeDefinition};
 use crate::syntax::ast::{names_in, names_of};
-use crate::syntax::functor::Functor;
 use crate::syntax::include;
 use crate::syntax::include::Gathered;
 use crate::syntax::lexer;
@@ -702,25 +701,14 @@ fn record_type(
             let other = if *left == own { right } else { left };
             record_type(clause, other.variable()?, (names, symbols), seen)
         }
-        rules::Literal::Compute {
-            to,
-            functor: Functor::Unpack,
-            arguments,
-            ..
-        } if *to == own => match arguments[..] {
-            [
-                rules::Term::Constant(shape),
-                rules::Term::Constant(at),
-                rules::Term::Variable(record),
-            ] => {
-                let ty = record_type(clause, record, (names, symbols), seen)?;
-                let (branch, _) = record::parts(symbols.resolve(Symbol(shape.0))?);
-                let mut shapes = names.shapes(ty).iter();
-                let shape = shapes.find(|shape| shape.branch.as_deref() == branch)?;
-                Some(shape.fields.get(at.0 as usize)?.1)
-            }
-            _ => None,
-        },
+        literal if literal.field().is_some_and(|field| field.value == own) => {
+            let field = literal.field()?;
+            let ty = record_type(clause, field.record.variable()?, (names, symbols), seen)?;
+            let (branch, _) = record::parts(symbols.resolve(field.shape)?);
+            let mut shapes = names.shapes(ty).iter();
+            let shape = shapes.find(|shape| shape.branch.as_deref() == branch)?;
+            Some(shape.fields.get(field.at)?.1)
+        }
         literal => {
             let atom = literal.atom()?;
             let column = atom.terms.iter().position(|term| *term == own)?;

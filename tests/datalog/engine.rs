@@ -1,6 +1,7 @@
 //! Compares the engine with its specification, and tests fixed examples.
 
 use crate::cases::cases;
+use crate::choice::Random;
 use crate::random_program::agree::{agrees, database};
 use crate::random_program::{Batch, Genome, computing_genomes, genomes, recursive_genomes};
 use crate::written_program::program;
@@ -509,11 +510,8 @@ fn a_closure_of_distant_clusters_is_that_of_near_ones() {
         Near(x, y) :- Path(z, x), Path(z, y), Edge(x, y).
         Near(x, z) :- Near(x, y), Edge(y, z).",
     );
-    let mut state = 1_u64;
-    let mut below = |end: i32| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        (state >> 33) as i32 % end
-    };
+    let mut random = Random(1);
+    let mut below = |end: i32| random.below(end as u64) as i32;
     let edges: Vec<(i32, i32)> = (0..20 * SIZE * 2)
         .map(|edge| {
             (

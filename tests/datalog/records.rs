@@ -1,5 +1,7 @@
 //! Records: every program derives what the naive evaluator derives, at once and by increments.
 
+use crate::cases::cases;
+use crate::choice::Random;
 use crate::component::{has_fault, load};
 use logicity_datalog::diag::{Sources, render};
 use logicity_datalog::explain::{ExplanationPrinter, Node, Origin};
@@ -630,23 +632,6 @@ fn symbols_that_look_like_records_have_no_fields() {
     }
 }
 
-/// A linear congruential generator.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, end: usize) -> usize {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as usize % end
-    }
-
-    fn of<'t>(&mut self, all: &[&'t str]) -> &'t str {
-        all[self.below(all.len())]
-    }
-}
-
 /// Returns a program of strata. A stratum makes records of the values of earlier ones, and takes apart those of any, so
 /// that it ends.
 fn random_program(random: &mut Random) -> String {
@@ -716,7 +701,7 @@ fn random_programs_derive_what_the_naive_evaluator_derives() {
         "[2, nil]",
         "[1, [2, [1, nil]]]",
     ];
-    for seed in 0..60 {
+    for seed in 0..u64::from(cases(240).cases) {
         let mut random = Random(seed);
         let has_branches = seed % 2 == 1;
         let spelled = |text: &str| match has_branches {
@@ -730,7 +715,8 @@ fn random_programs_derive_what_the_naive_evaluator_derives() {
         let mut held: BTreeSet<(bool, usize)> = BTreeSet::new();
         for _ in 0..5 {
             for _ in 0..4 {
-                let change = (random.below(2) == 0, random.below(LISTS.len()));
+                let at = usize::try_from(random.below(LISTS.len() as u64)).expect("few");
+                let change = (random.below(2) == 0, at);
                 let gone = held.remove(&change) || !held.insert(change);
                 let (is_list, at) = change;
                 let result = match (is_list, gone) {

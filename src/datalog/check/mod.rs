@@ -47,12 +47,12 @@ use std::borrow::Cow;
 
 pub use chance::{Draw, drawn_probabilities};
 pub use functors::{FunctorBatch, FunctorError};
-pub(crate) use rules::bind_all;
 pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Function, Literal, Numbering, Past,
     PastOperator, Predicate, PredicateId, RecordShape, RowEncoding, RowFormat, RowPlace, Rules, Stratum, Term, Type,
     TypeId, UserFunctor, VarId, shapes,
 };
+pub(crate) use rules::{Field, bind_all};
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
 pub use subsets::Comparing;

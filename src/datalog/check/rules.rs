@@ -7,7 +7,7 @@
 //! binds parameters. The predicates are stratified.
 
 use crate::diag::{Sources, Span, counted};
-use crate::symbol::Symbols;
+use crate::symbol::{Symbol, Symbols};
 use crate::syntax::ast::{BaseType, Comparison, MarkKind};
 use crate::value::Value;
 use std::collections::HashMap;
@@ -396,7 +396,40 @@ pub enum Literal {
     Guard(Atom),
 }
 
+/// A literal that reads a field of a record.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Field {
+    pub(crate) record: Term,
+    /// The symbol of the shape that the record must have.
+    pub(crate) shape: Symbol,
+    /// The position of the field.
+    pub(crate) at: usize,
+    pub(crate) value: Term,
+}
+
 impl Literal {
+    /// Returns the field that the literal reads, if it reads one.
+    pub(crate) fn field(&self) -> Option<Field> {
+        let Literal::Compute {
+            to,
+            functor: Functor::Unpack,
+            arguments,
+            ..
+        } = self
+        else {
+            return None;
+        };
+        match arguments[..] {
+            [Term::Constant(shape), Term::Constant(at), record] => Some(Field {
+                record,
+                shape: Symbol(shape.0),
+                at: at.0 as usize,
+                value: *to,
+            }),
+            _ => None,
+        }
+    }
+
     /// Returns the atom of the literal, if it has one.
     pub fn atom(&self) -> Option<&Atom> {
         match self {

@@ -5,7 +5,7 @@
 //! - `word_sets` and `correlated` keep what a plan would compute again: lists of rows as bits, values of aggregates.
 //! - `recursion` evaluates a recursive stratum to its fixpoint, and `maintain` updates a stratum incrementally.
 //! - `table` holds a predicate and its indexes, `pending` the changes of the next commit, and `seen_bitmap` marks
-//!   derived rows.
+//!   derived rows, as bits or by `pages` of bits.
 //! - `narrow` holds loaded predicates whose rows are narrower than the program's.
 //! - `groups` aggregates what a plan derives.
 //! - `workers` holds the threads, and `limits` bounds the resources of a commit.
@@ -24,6 +24,7 @@ pub mod limits;
 mod maintain;
 mod narrow;
 pub(crate) mod output;
+mod pages;
 mod pending;
 mod recursion;
 mod seen_bitmap;

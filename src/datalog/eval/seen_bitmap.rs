@@ -5,6 +5,7 @@
 //! form dense clusters, such as one for each function of a program, only the pages of bits with a row are stored.
 // Decision: docs/decisions/evaluation.md#d018
 
+use crate::eval::pages::{Paged, Pages};
 use crate::row::Row;
 use crate::value::Value;
 
@@ -22,104 +23,6 @@ pub(crate) struct SeenBitmap<const W: usize> {
     pages: Option<Box<Paged>>,
     /// Whether new rows are kept as bits.
     holds_new: bool,
-}
-
-/// The bits of all rows and of new ones, by pages.
-#[derive(Clone, Debug)]
-struct Paged {
-    known: Pages,
-    fresh: Pages,
-}
-
-/// A list of bits of which only the pages with a bit are stored.
-#[derive(Clone, Debug)]
-struct Pages {
-    /// Indexed by page: its number in `words` plus 1, or 0 if it is not stored.
-    places: Vec<u32>,
-    words: Vec<u64>,
-    /// The maximum number of stored pages.
-    pages_max: usize,
-}
-
-impl Pages {
-    /// The number of words of a page.
-    const PAGE: usize = 64;
-
-    fn new(words: usize, pages_max: usize) -> Self {
-        Pages {
-            places: vec![0; words.div_ceil(Self::PAGE)],
-            words: Vec::new(),
-            pages_max,
-        }
-    }
-
-    /// Returns a word, and adds its page if necessary; `None` if no page is left.
-    #[inline]
-    fn word(&mut self, at: usize) -> Option<&mut u64> {
-        let (page, word) = (at / Self::PAGE, at % Self::PAGE);
-        let place = match self.places[page] {
-            0 => self.add(page)?,
-            place => place,
-        };
-        Some(&mut self.words[(place as usize - 1) * Self::PAGE + word])
-    }
-
-    #[cold]
-    fn add(&mut self, page: usize) -> Option<u32> {
-        let count = self.stored();
-        if count >= self.pages_max {
-            return None;
-        }
-        let len = self.words.len() + Self::PAGE;
-        if len > self.words.capacity() {
-            // Doubling would take more memory than `SeenBitmap::over` expects.
-            self.words.try_reserve_exact(Self::PAGE.max(len / 8)).ok()?;
-        }
-        self.words.resize(len, 0);
-        self.places[page] = u32::try_from(count + 1).ok()?;
-        Some(self.places[page])
-    }
-
-    /// The number of stored pages.
-    fn stored(&self) -> usize {
-        self.words.len() / Self::PAGE
-    }
-
-    /// As many bits, none of which is set.
-    fn cleared(&self) -> Self {
-        Pages::new(self.places.len() * Self::PAGE, self.pages_max)
-    }
-
-    fn bytes(&self) -> usize {
-        size_of_val(&self.words[..]) + size_of_val(&self.places[..])
-    }
-
-    /// Returns the stored words with their positions, in order. All others are 0.
-    fn words(&self) -> impl Iterator<Item = (usize, u64)> {
-        let places = self.places.iter().enumerate().filter(|(_, place)| **place > 0);
-        places.flat_map(|(page, &place)| {
-            let words = self.words[(place as usize - 1) * Self::PAGE..].iter().take(Self::PAGE);
-            words.enumerate().map(move |(at, word)| (page * Self::PAGE + at, *word))
-        })
-    }
-}
-
-impl Paged {
-    /// Adds the bits of a mask with one bit in a word; to the new ones, too, if they are `held`. Returns 1 if it was
-    /// not set, and otherwise 0; `None` if it cannot be stored.
-    #[inline]
-    fn add(&mut self, (word, mask): (usize, u64), held: bool) -> Option<usize> {
-        let known = self.known.word(word)?;
-        if *known & mask != 0 {
-            return Some(0);
-        }
-        *known |= mask;
-        // Cannot fail: each page of new rows is also one of known rows, and both lists have the same limit.
-        if held && let Some(fresh) = self.fresh.word(word) {
-            *fresh |= mask;
-        }
-        Some(1)
-    }
 }
 
 /// The result of adding a row.
@@ -141,11 +44,14 @@ impl<const W: usize> SeenBitmap<W> {
     /// add many rows at once.
     const ALIGNED_MIN: u32 = 512;
 
-    /// Bits are stored by pages if all would take at least this number of bytes,
+    /// The size in bytes of all bits from which on they may be stored by pages.
     const PAGED_MIN: u64 = 1 << 26;
-    /// a page begins with at least this number of rows on average,
+
+    /// The minimum number of rows of a page, on average, when the set is made.
     const PAGE_ROWS: usize = 16;
-    /// and, if all may fit later, at most one page in this number is stored at first. Sets of words need all bits.
+
+    /// If all bits may fit later, at most one page in this number is stored when the set is made. Dense pages are no
+    /// reason to do without [`SeenBitmap::add_set`].
     const PAGE_PARTS: usize = 16;
 
     /// Makes a set of these rows. Its bounds leave room above the words of `rows` and `largest`. Returns `None` if
@@ -193,7 +99,7 @@ impl<const W: usize> SeenBitmap<W> {
                 let known = Pages::new(words, first_pages);
                 let fresh = Pages::new(words, pages_max);
                 let mut paged = Box::new(Paged { known, fresh });
-                let added = rows.iter().map(|row| paged.add(seen.bit(row)?, false));
+                let added = rows.iter().map(|row| paged.add(seen.bit(row)?, false).map(usize::from));
                 // The rows may repeat.
                 let distinct = added.sum::<Option<usize>>();
                 if distinct.is_some_and(|distinct| distinct >= paged.known.stored() * Self::PAGE_ROWS) {
@@ -293,8 +199,8 @@ impl<const W: usize> SeenBitmap<W> {
     fn add_to_page(&mut self, bit: (usize, u64)) -> Added {
         let held = self.holds_new;
         match self.pages.as_mut().and_then(|paged| paged.add(bit, held)) {
-            Some(0) => Added::Known,
-            Some(_) => Added::New,
+            Some(true) => Added::New,
+            Some(false) => Added::Known,
             None => Added::Beyond,
         }
     }
@@ -333,7 +239,7 @@ impl<const W: usize> SeenBitmap<W> {
                 let fits = value.0 < bound;
                 let bit = fits.then(|| paged.add(((at / 64) as usize, 1 << (at % 64)), true));
                 let Some(is_new) = bit.flatten() else { break };
-                new += is_new;
+                new += usize::from(is_new);
                 added += 1;
             }
             return (added, new);
@@ -402,8 +308,8 @@ impl<const W: usize> SeenBitmap<W> {
 
     /// Whether `rows` new rows are better kept as bits than in a list to be sorted.
     pub(crate) fn prefers_bits(&self, rows: usize) -> bool {
-        let stored = self.pages.as_deref().map_or(&self.known, |paged| &paged.known.words);
-        rows / 4 > stored.len() / 64
+        let paged = |paged: &Paged| paged.known.stored() * Pages::PAGE;
+        rows / 4 > self.pages.as_deref().map_or(self.known.len(), paged) / 64
     }
 
     /// Whether new rows are kept as bits.
@@ -443,10 +349,12 @@ impl<const W: usize> SeenBitmap<W> {
 
     /// Returns all rows ever added, in order.
     pub(crate) fn all(&self) -> Vec<Row<W>> {
-        let count = |words: &[u64]| words.iter().map(|word| word.count_ones() as usize).sum();
         match &self.pages {
-            Some(paged) => self.listed(paged.known.words(), count(&paged.known.words)),
-            None => self.listed(self.known.iter().copied().enumerate(), count(&self.known)),
+            Some(paged) => self.listed(paged.known.words(), ones(paged.known.words())),
+            None => {
+                let words = || self.known.iter().copied().enumerate();
+                self.listed(words(), ones(words()))
+            }
         }
     }
 
@@ -468,6 +376,11 @@ impl<const W: usize> SeenBitmap<W> {
         }
         rows
     }
+}
+
+/// The number of bits of words with their positions.
+fn ones(words: impl Iterator<Item = (usize, u64)>) -> usize {
+    words.map(|(_, word)| word.count_ones() as usize).sum()
 }
 
 /// Raises `largest` to the largest word of the rows in each column.
@@ -578,7 +491,8 @@ mod tests {
         assert_eq!((known, forked.all().len()), (31 * 2_500, 31 * 2_500));
         // The limit admits these clusters and no others.
         let known = &seen.pages.as_deref().expect("pages").known;
-        let rows_max = (3 * size_of_val(&known.words[..]) + 2 * size_of_val(&known.places[..])) / size_of::<Row<2>>();
+        let stored = known.stored() * Pages::PAGE * size_of::<u64>();
+        let rows_max = (3 * stored + 2 * (known.bytes() - stored)) / size_of::<Row<2>>();
         let mut seen = over(rows_max as u64).expect("enough pages");
         let places: Vec<Added> = (1..60).step_by(2).flat_map(cluster).map(|row| seen.add(&row)).collect();
         assert!(places.contains(&Added::Beyond) && !places.contains(&Added::Known));

@@ -497,15 +497,14 @@ impl<'a> ExplanationPrinter<'a> {
                 arguments,
                 ..
             } => {
-                if let (Functor::Unpack, [Term::Constant(shape), Term::Constant(at), whole]) = (functor, &arguments[..])
-                {
-                    let shape = self.symbols.resolve(Symbol(shape.0)).unwrap_or_default();
+                if let Some(read) = literal.field() {
+                    let shape = self.symbols.resolve(read.shape).unwrap_or_default();
                     let mut fields = vec!["_".to_owned(); record::parts(shape).1.len() + 1];
                     shape.clone_into(&mut fields[0]);
-                    if let Some(field) = fields.get_mut(at.0 as usize + 1) {
+                    if let Some(field) = fields.get_mut(read.at + 1) {
                         *field = self.term(clause, to, *base, binding);
                     }
-                    let whole = self.term(clause, whole, BaseType::Record, binding);
+                    let whole = self.term(clause, &read.record, BaseType::Record, binding);
                     return format!("{whole} = {}", applied(Functor::Pack, &fields));
                 }
                 let base = &|at: usize| match (functor, arguments.first()) {

@@ -6,7 +6,7 @@
 //! same variable, one leapfrog join can bind it.
 // Decision: docs/decisions/evaluation.md#d016
 
-use crate::check::{Atom, Clause, Literal, PredicateId, Term, VarId};
+use crate::check::{Atom, Clause, Field, Literal, PredicateId, Term, VarId};
 use crate::codes;
 use crate::diag::{self, Diagnostic};
 use crate::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};
@@ -89,11 +89,13 @@ pub(crate) fn plan_clause(
                 let known = indexes.len();
                 let other = Planner::new(clause, indexes, order).plan(first, &version)?;
                 // Evaluation must update an index over a growing predicate, so an alternative uses no secondary one.
-                let own = |source: Source| source.version == Version::Complete || indexes.is_own(source.index);
+                let own = |source: &Source| source.version == Version::Complete || indexes.is_own(source.index);
                 let sources = |plan: &Plan| plan.steps.iter().flat_map(Step::sources).collect::<Vec<_>>();
-                let cheap = sources(&other).into_iter().all(own)
-                    && (first == First::Literals(delta, position) || !other.searches_new());
-                if cheap && sources(&other) != sources(&plan) {
+                let found = sources(&other);
+                // Only a plan over the new rows begins with all of them.
+                let begins = first == First::Literals(delta, position);
+                let cheap = found.iter().all(own) && (begins || !other.searches_new());
+                if cheap && found != sources(&plan) {
                     others.push(other);
                 } else {
                     indexes.truncate(known);
@@ -525,17 +527,14 @@ impl<'a> Planner<'a> {
     /// ```
     fn place_record(&mut self) -> bool {
         let clause = self.clause;
-        let records = self
-            .left
-            .iter()
-            .filter_map(|&position| Field::of(&clause.body[position]));
+        let read = |position: &usize| clause.body[*position].field()?.record.variable();
         let unbound = |record: &VarId| !self.bound[record.index()] && is_stored(clause, *record);
-        let mut records = records.map(|field| field.record).filter(unbound);
+        let mut records = self.left.iter().filter_map(read).filter(unbound);
         let Some((record, fields)) = records.find_map(|record| Some((record, self.known_fields(record)?))) else {
             return false;
         };
-        let shape = fields[0].1.shape;
-        let terms = std::iter::once(Term::Constant(shape)).chain(fields.iter().map(|(_, field)| field.value));
+        let shape = Term::Constant(Value(fields[0].1.shape.0));
+        let terms = std::iter::once(shape).chain(fields.iter().map(|(_, field)| field.value));
         let arguments = terms.filter_map(|term| self.slot(&term)).collect();
         fields.iter().for_each(|(position, _)| self.placed(*position));
         self.bound[record.index()] = true;
@@ -551,13 +550,11 @@ impl<'a> Planner<'a> {
 
     /// Returns the fields of a record in order, with the positions of their literals; `None` unless all are bound.
     fn known_fields(&self, record: VarId) -> Option<Vec<(usize, Field)>> {
-        let all = self
-            .left
-            .iter()
-            .filter_map(|&position| Some((position, Field::of(&self.clause.body[position])?)));
-        let mut fields: Vec<_> = all.filter(|(_, field)| field.record == record).collect();
-        fields.sort_by_key(|(_, field)| field.at.0);
-        fields.dedup_by_key(|(_, field)| field.at.0);
+        let field = |&position: &usize| Some((position, self.clause.body[position].field()?));
+        let own = |(_, field): &(usize, Field)| field.record == Term::Variable(record);
+        let mut fields: Vec<_> = self.left.iter().filter_map(field).filter(own).collect();
+        fields.sort_by_key(|(_, field)| field.at);
+        fields.dedup_by_key(|(_, field)| field.at);
         let shape = fields.first()?.1.shape;
         let is_known =
             |field: &Field| field.shape == shape && self.is_bound(&field.value) && field.value != Term::Wildcard;
@@ -887,37 +884,6 @@ fn enough(steps: &[Step], output: &[Slot]) -> Vec<u16> {
     parts.collect()
 }
 
-/// A literal that reads a field of a record.
-struct Field {
-    record: VarId,
-    shape: Value,
-    at: Value,
-    value: Term,
-}
-
-impl Field {
-    fn of(literal: &Literal) -> Option<Field> {
-        let Literal::Compute {
-            to,
-            functor: Functor::Unpack,
-            arguments,
-            ..
-        } = literal
-        else {
-            return None;
-        };
-        match arguments[..] {
-            [Term::Constant(shape), Term::Constant(at), Term::Variable(record)] => Some(Field {
-                record,
-                shape,
-                at,
-                value: *to,
-            }),
-            _ => None,
-        }
-    }
-}
-
 /// Whether every value of the variable is in a row, or in a record that is in a row.
 fn is_stored(clause: &Clause, variable: VarId) -> bool {
     let mut waiting = vec![variable];
@@ -940,9 +906,7 @@ fn is_stored(clause: &Clause, variable: VarId) -> bool {
                     right,
                     ..
                 } if *right == same => left.variable(),
-                _ => Field::of(literal)
-                    .filter(|field| field.value == same)
-                    .map(|field| field.record),
+                _ => (literal.field().filter(|field| field.value == same)).and_then(|field| field.record.variable()),
             };
             waiting.extend(other.filter(|other| !waiting.contains(other)));
         }

@@ -11,7 +11,7 @@
 //! For maintenance, each clause has one plan for each body atom, negated ones included, that begins with the changed
 //! rows. One more plan begins with head rows and checks whether the clause derives them.
 
-use crate::check::{ClauseId, Literal, Predicate, PredicateId, Rules, Term};
+use crate::check::{ClauseId, Predicate, PredicateId, Rules};
 use crate::record;
 use crate::symbol::Symbol;
 use crate::syntax::ast::{BaseType, Comparison};
@@ -54,7 +54,7 @@ pub(crate) struct Indexes {
     /// The plans of correlated predicates, which other plans contain.
     correlated: BTreeMap<PredicateId, Arc<[Plan]>>,
     /// Maps the symbol of a record shape to its number of fields.
-    shapes: BTreeMap<Value, usize>,
+    shapes: BTreeMap<Symbol, usize>,
 }
 
 impl std::ops::Index<IndexId> for Indexes {
@@ -86,7 +86,7 @@ impl Indexes {
     }
 
     /// Returns the number of fields of a shape; `None` if no clause takes such records apart.
-    pub(crate) fn fields(&self, shape: Value) -> Option<usize> {
+    pub(crate) fn fields(&self, shape: Symbol) -> Option<usize> {
         self.shapes.get(&shape).copied()
     }
 
@@ -481,21 +481,11 @@ pub(crate) enum Aim {
 }
 
 /// The shapes of the records that clauses take apart, with their numbers of fields.
-fn shapes(rules: &Rules) -> BTreeMap<Value, usize> {
+fn shapes(rules: &Rules) -> BTreeMap<Symbol, usize> {
     let literals = rules.clauses.iter().flat_map(|clause| &clause.body);
-    let shapes = literals.filter_map(|literal| match literal {
-        Literal::Compute {
-            functor: Functor::Unpack,
-            arguments,
-            ..
-        } => match arguments[0] {
-            Term::Constant(shape) => Some(shape),
-            _ => None,
-        },
-        _ => None,
-    });
-    let fields = |shape: Value| {
-        let text = rules.symbols.resolve(Symbol(shape.0)).unwrap_or_default();
+    let shapes = literals.filter_map(|literal| Some(literal.field()?.shape));
+    let fields = |shape: Symbol| {
+        let text = rules.symbols.resolve(shape).unwrap_or_default();
         (shape, record::parts(text).1.len())
     };
     shapes.map(fields).collect()
